@@ -8,7 +8,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.motions.inverse_dynamics import effort_demand, inverse_dynamics
-from fjr_core.motions.sampled_motion import waypoints
+from fjr_core.motions.spline import waypoints
 
 T = np.arange(10_001) / 1000  # s: 10 s at 1 kHz
 RNG = np.random.default_rng(3)

@@ -28,9 +28,8 @@ from .monitoring.certificate import Certificate
 from .motions.motion_limits import MotionLimits, check_motion
 from .motions.point_to_point import Circle, Hold, PointToPoint, standing
 from .motions.reference import Reference
-from .motions.sampled_motion import SampledMotion
 from .motions.sine import MultiSine, Sine
-from .motions.spline import Spline
+from .motions.spline import SampledMotion, Spline
 from .motions.transition import time_shifted, transition
 from .runtime.measurement_model import Measurement
 from .runtime.velocity_observer import VelocityObserver

@@ -12,7 +12,7 @@ from fjr_bringup.clients import TrajectoryClient
 from fjr_core.config.controller import effort_limits
 from fjr_core.config.reference import motion_of_file, motion_warnings
 from fjr_core.errors import ParameterError
-from fjr_core.motions.sampled_motion import SampledMotion, waypoints
+from fjr_core.motions.spline import SampledMotion, waypoints
 from fjr_design.cli.preflight import as_list
 from fjr_monitor.recording.topics import absolute
 from fjr_msgs_py.console.ending import stoppable

@@ -18,8 +18,8 @@ from ..model.robot import Robot
 from ..motions.inverse_dynamics import EffortDemand, effort_demand
 from ..motions.point_to_point import Circle, Hold, PointToPoint
 from ..motions.reference import Reference
-from ..motions.sampled_motion import SampledMotion
 from ..motions.sine import MultiSine, Sine
+from ..motions.spline import SampledMotion
 from ..numerics.checks import Array
 from ..numerics.parameter_field import declared
 from .parameter import VECTOR, Parameter, Values, names, read

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..model import springs
 from ..model.robot import Robot
 from ..numerics.checks import Array
-from .sampled_motion import SampledMotion
+from .spline import SampledMotion
 
 SUBDIVISIONS = 4, 4096
 """Instants per piece of the motion, and instants in all, at least."""
