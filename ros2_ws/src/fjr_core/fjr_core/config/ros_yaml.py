@@ -44,26 +44,17 @@ class _Loader(yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader):  
         return super().construct_mapping(node, deep)
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
-        if isinstance(node, yaml.ScalarNode):
-            _check_scalar(node)
+        line = node.start_mark.line + 1
+        if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and len(node.value) > MAX_NUMBER_LENGTH:
+            seen = f"has a number of {len(node.value)} characters ({_brief(node.value)}) in line {line}"
+            raise ParameterError(f"{seen}; expected at most {MAX_NUMBER_LENGTH}")
         try:
             return super().construct_object(node, deep)
         except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError):
-            tag, line = node.tag.replace(_TAG, "!!"), node.start_mark.line + 1
+            tag = node.tag.replace(_TAG, "!!")
             raise ParameterError(
                 f"has '{_brief(str(node.value))}' in line {line}; expected what the tag {tag} says"
             ) from None
-
-
-def _check_scalar(node: yaml.ScalarNode) -> None:
-    """Raise ParameterError for a number of too many characters and for characters that no text may hold."""
-    line = node.start_mark.line + 1
-    if node.tag in _NUMBERS and len(node.value) > MAX_NUMBER_LENGTH:
-        seen = f"has a number of {len(node.value)} characters ({_brief(node.value)}) in line {line}"
-        raise ParameterError(f"{seen}; expected at most {MAX_NUMBER_LENGTH}")
-    invalid = _INVALID.search(node.value)
-    if invalid:
-        raise ParameterError(f"has the character U+{ord(invalid[0]):04X} in line {line}; expected text without it")
 
 
 def _brief(text: str, most: int = 60) -> str:
@@ -92,8 +83,8 @@ def parse(text: str) -> Any:
     return deepcopy(_parsed(text))
 
 
-def _check_size(text: str) -> None:
-    """Raise ParameterError for an alias, and for a document that is too deep or too large to be read."""
+def _check_events(text: str) -> None:
+    """Raise ParameterError for an alias, an invalid character, and a document that is too deep or too large."""
     depth = nodes = 0
     for event in yaml.parse(text, _Loader):
         if isinstance(event, yaml.AliasEvent):
@@ -104,12 +95,15 @@ def _check_size(text: str) -> None:
             raise ParameterError(f"is nested more than {MAX_DEPTH} levels deep; expected a parameter file")
         if nodes > MAX_NODES:
             raise ParameterError(f"holds more than {MAX_NODES} values and keys; expected a parameter file")
+        if isinstance(event, yaml.ScalarEvent) and (found := _INVALID.search(event.value)):
+            line = event.start_mark.line + 1
+            raise ParameterError(f"has the character U+{ord(found[0]):04X} in line {line}; expected text without it")
 
 
 @lru_cache(maxsize=16)  # a scenario and its robot file are read for each node and each check of the values
 def _parsed(text: str) -> Any:
     try:
-        _check_size(text)
+        _check_events(text)
         return yaml.load(text, _Loader)
     except (yaml.YAMLError, UnicodeEncodeError) as error:
         raise ParameterError(f"is not valid YAML: {_brief(' '.join(str(error).split()), 400)}") from None
