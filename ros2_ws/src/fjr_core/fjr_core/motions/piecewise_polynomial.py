@@ -204,8 +204,13 @@ def minimum_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
     """
     h = np.diff(times)
     units = np.minimum(np.append(h, np.inf), np.insert(h, 0, np.inf))  # time unit at each knot, for scaling
-    roots, chosen = _roots_of_jerk(h, units), free[:, :, None]
-    near, far = roots[..., :JETS], roots[..., JETS:]
+    weights, chosen = (h / h.max()) ** -(JERK - 0.5), free[:, :, None]
+    # W of the near and the far knot of each segment: the sum of |W y|^2 is the integral, up to a factor, if y are the
+    # Taylor coefficients of the knots in `units`.
+    near, far = (
+        weights[:, None, None] * root * (h / unit)[:, None, None] ** _ORDERS
+        for root, unit in ((_JERK_ROOT[:, :JETS], units[:-1]), (_JERK_ROOT[:, JETS:], units[1:]))
+    )
     diagonal = _of_knots(_transposed(near) @ near, _transposed(far) @ far) * (chosen & free[:, None, :])
     diagonal[:, _ORDERS, _ORDERS] += ~free  # the identity for given entries
     solve = _block_solver(diagonal, _transposed(far) @ near * (chosen[1:] & free[:-1, None, :]))
@@ -216,20 +221,10 @@ def minimum_jerk(times: Array, jets: Array, free: NDArray[np.bool_]) -> Array:
     return np.where(chosen, y / taylor(np.ones_like(jets), units), jets)
 
 
-def _roots_of_jerk(h: Array, units: Array) -> Array:
-    """Return W (k - 1, 7, 10): |W y|^2 is the integral of the squared jerk of a segment, up to a common factor.
-
-    y (10, n): Taylor coefficients of the two knots of the segment in `units`.
-    """
-    knots = np.arange(len(h))[:, None] + [0, 1]
-    scales = (h[:, None, None] / units[knots][:, :, None]) ** np.arange(JETS)
-    weights = (h / h.max())[:, None, None] ** -(JERK - 0.5)
-    return np.asarray(weights * _JERK_ROOT * scales.reshape(len(h), 1, -1))
-
-
 def _of_knots(near: Array, far: Array) -> Array:
     """Return the sums (k, ..) at the knots of what each of k - 1 segments adds to its near and its far knot."""
-    return np.concatenate([near, 0 * far[:1]]) + np.concatenate([0 * near[:1], far])
+    none = np.zeros_like(near[:1])
+    return np.concatenate([near, none]) + np.concatenate([none, far])
 
 
 def _block_solver(diagonal: Array, lower: Array) -> Callable[[Array], Array]:
