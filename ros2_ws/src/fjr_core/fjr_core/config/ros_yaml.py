@@ -96,7 +96,7 @@ def _check_events(text: str) -> None:
         if nodes > MAX_NODES:
             raise ParameterError(f"holds more than {MAX_NODES} values and keys; expected a parameter file")
         if isinstance(event, yaml.ScalarEvent) and (found := _INVALID.search(event.value)):
-            line = event.start_mark.line + 1
+            line = getattr(event.start_mark, "line", 0) + 1
             raise ParameterError(f"has the character U+{ord(found[0]):04X} in line {line}; expected text without it")
 
 

@@ -62,21 +62,12 @@ class Spline(PolynomialReference):
         return f"Spline({joints(self.n)}, {np.size(self.times)} points, {span(self.knot_times)})"
 
     def __post_init__(self) -> None:
-        positions = _points("positions", self.positions)
-        times = checks.finite("times", self.times, TrajectoryError)
-        if times.shape != positions.shape[:1]:
-            raise TrajectoryError(f"times has shape {times.shape}; expected {positions.shape[:1]}, one per point")
-        freeze(self, "times", times)
-        freeze(self, "positions", positions)
-        for name in ("velocities", "accelerations"):
-            if getattr(self, name) is not None:
-                freeze(self, name, _points(name, getattr(self, name), positions.shape))
+        n = _freeze_points(self, self.start is not None)
         if self.start is not None:
-            start, shape = checks.finite("start", self.start, TrajectoryError), (JETS, positions.shape[1])
+            start, shape = checks.finite("start", self.start, TrajectoryError), (JETS, n)
             if start.shape != shape:
                 raise TrajectoryError(f"start has shape {start.shape}; expected {shape}, value and four derivatives")
             freeze(self, "start", start)
-        _check_times(times, self.start is not None)
         if self.velocities is not None and not self.moving_end and np.any(last := np.asarray(self.velocities)[-1]):
             raise TrajectoryError(f"velocities ends with {last.tolist()}; expected zeros at the last point")
         self._interpolate()
@@ -132,7 +123,20 @@ def _points(name: str, value: ArrayLike, shape: tuple[int, ...] | None = None) -
     return array
 
 
-def _check_times(times: Array, starts: bool) -> None:
+def _freeze_points(reference: Spline | SampledMotion, starts: bool = False) -> int:
+    """Check times and rows of a reference and store them as arrays; return the number of joints. starts: from jets.
+
+    Raise TrajectoryError.
+    """
+    positions = _points("positions", reference.positions)
+    times = checks.finite("times", reference.times, TrajectoryError)
+    if times.shape != positions.shape[:1]:
+        raise TrajectoryError(f"times has shape {times.shape}; expected {positions.shape[:1]}, one per point")
+    freeze(reference, "times", times)
+    freeze(reference, "positions", positions)
+    for name in ("velocities", "accelerations"):
+        if getattr(reference, name, None) is not None:
+            freeze(reference, name, _points(name, getattr(reference, name), positions.shape))
     if len(times) < 2 and not starts:
         raise TrajectoryError("times has 1 point; expected at least 2, or 1 with start")
     if starts and times[0] < SHORTEST:
@@ -142,6 +146,7 @@ def _check_times(times: Array, starts: bool) -> None:
         i = int(stalls[0])
         first, second = (f"{times[j]} s at point {j}" for j in (i, i + 1))
         raise TrajectoryError(f"times goes from {first} to {second}; expected an increase of at least {SHORTEST:g} s")
+    return int(positions.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,21 +175,19 @@ class SampledMotion(PolynomialReference):
         return f"SampledMotion({joints(self.n)}, {samples}, {span(self.knot_times)})"
 
     def __post_init__(self) -> None:
-        waypoints = Spline(self.times, self.positions, self.velocities, moving_end=self.velocities is not None)
-        for name in ("times", "positions", "velocities"):
-            if getattr(waypoints, name) is not None:
-                freeze(self, name, np.array(getattr(waypoints, name)))
+        n = _freeze_points(self)
         t, q = np.asarray(self.times), np.asarray(self.positions)
-        tolerance = _tolerance(self.tolerance, q.shape[1])
+        tolerance = _tolerance(self.tolerance, n)
         freeze(self, "tolerance", tolerance)
         fit = least_squares_fit(t, q, tolerance) if np.all(tolerance > 0) else None
         if fit is None:
+            waypoints = Spline(t, q, self.velocities, moving_end=self.velocities is not None)
             times, jets = waypoints.knot_times, waypoints.knot_jets
         else:
             times, jets = fit.times, fit.jets
         self.set_knots(*_brought_to_rest(times, jets))
         object.__setattr__(self, "smoothed", fit is not None)
-        freeze(self, "deviation", np.zeros(q.shape[1]) if fit is None else fit.deviation)
+        freeze(self, "deviation", np.zeros(n) if fit is None else fit.deviation)
 
 
 def _tolerance(given: ArrayLike, n: int) -> Array:
