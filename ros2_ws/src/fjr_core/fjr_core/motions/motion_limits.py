@@ -74,11 +74,7 @@ class MotionLimits:
 
 
 def check_motion(
-    reference: Reference,
-    limits: MotionLimits,
-    t0: float = 0.0,
-    t1: float = np.inf,
-    joints: Sequence[str] = (),
+    reference: Reference, limits: MotionLimits, t0: float = 0.0, t1: float = np.inf, joints: Sequence[str] = ()
 ) -> None:
     """Raise TrajectoryError if the reference exceeds the limits between t0 and t1 [s] (may be infinite).
 
