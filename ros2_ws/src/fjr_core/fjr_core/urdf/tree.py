@@ -30,19 +30,20 @@ SMALLEST_INERTIA = 1e-15  # kg m^2; below that a negative principal inertia is r
 LARGEST_NUMBER = 1e30  # sums and squares of larger numbers may overflow
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class UrdfJoint:
     """A URDF joint: axis in the joint frame, limits (lower, upper, velocity, effort), infinite without a limit.
 
-    origin: pose (4, 4) of the joint frame in that of the parent link. mimics: (joint, multiplier, offset) of <mimic>,
-    or None.
+    xyz [m], rpy [rad]: pose of the joint frame in that of the parent link. mimics: (joint, multiplier, offset) of
+    <mimic>, or None.
     """
 
     name: str
     kind: str
     parent: str
     child: str
-    origin: Array
+    xyz: tuple[float, ...]
+    rpy: tuple[float, ...]
     axis: tuple[float, ...]
     limits: tuple[float, ...]
     mimics: tuple[str, float, float] | None
@@ -55,7 +56,7 @@ class UrdfJoint:
             motion[:3, 3] = position * axis
         else:
             motion[:3, :3] = _turn(axis, position)
-        return self.origin @ motion
+        return _pose(self.xyz, self.rpy) @ motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +215,7 @@ def _joint(name: str, element: ET.Element) -> UrdfJoint:
         multiplier = _number(where, element, "mimic", "multiplier", "1")
         offset = _number(where, element, "mimic", "offset", "0")
         mimics = _attribute(where, element, "mimic", "joint"), multiplier, offset
-    return UrdfJoint(name, kind, parent, child, _origin(where, element), axis, limits, mimics)
+    return UrdfJoint(name, kind, parent, child, *_origin(where, element), axis, limits, mimics)
 
 
 def _limits(where: str, kind: str, element: ET.Element) -> tuple[float, ...]:
@@ -255,7 +256,6 @@ def _check_tree(links: list[str], joints: dict[str, UrdfJoint]) -> None:
 
 
 def _inertia(where: str, inertial: ET.Element) -> LinkInertia:
-    pose = _origin(where, inertial)
     mass = _number(where, inertial, "mass", "value", "")
     xx, xy, xz, yy, yz, zz = (_number(where, inertial, "inertia", name, "") for name in INERTIA)
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -266,12 +266,17 @@ def _inertia(where: str, inertial: ET.Element) -> LinkInertia:
     smallest, _, largest = np.linalg.eigvalsh(inertia)
     if smallest < -max(1e-12 * abs(largest), SMALLEST_INERTIA):
         raise RobotError(f"{where} has the principal inertia {smallest:.3g}; expected 0 or more")
-    return LinkInertia(mass, np.zeros(3), inertia).moved(pose)
+    return LinkInertia(mass, np.zeros(3), inertia).moved(_pose(*_origin(where, inertial)))
 
 
-def _origin(where: str, element: ET.Element) -> Array:
-    """Return the pose (4, 4) of the <origin> in the element: xyz [m], R = R_z(yaw) R_y(pitch) R_x(roll)."""
+def _origin(where: str, element: ET.Element) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return xyz [m] and rpy [rad] of the <origin> in the element."""
     xyz, rpy = (_numbers(where, element, "origin", name, "0 0 0", 3) for name in ("xyz", "rpy"))
+    return xyz, rpy
+
+
+def _pose(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Array:
+    """Return the pose (4, 4) with R = R_z(yaw) R_y(pitch) R_x(roll)."""
     pose, (x, y, z), (roll, pitch, yaw) = np.eye(4), np.eye(3), rpy
     pose[:3, :3], pose[:3, 3] = _turn(z, yaw) @ _turn(y, pitch) @ _turn(x, roll), xyz
     return pose
