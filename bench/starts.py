@@ -27,8 +27,8 @@ from bench.figures import Figure
 from bench.machine import watched
 from bench.nodes import burning, controller, plant, process, ros_environment, used
 from bench.real_time import in_time
-from bench.tap import HEADER, STAMP, Tap
-from fjr_monitor.recording.bag import read_bag
+from bench.tap import Tap
+from fjr_monitor.recording.bag import header_stamp, read_bag
 from fjr_monitor.recording.files import Topic
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import Exit
@@ -207,9 +207,8 @@ def _start(ordinary: bool) -> Start:
 
 def rows(topic: Topic) -> NDArray[np.int64]:
     """Return stamp, send time [ns] and number (k, 3) of the messages of a topic."""
-    stamps = np.array([STAMP.unpack_from(message.data, HEADER) for message in topic.messages], dtype=np.int64)
-    numbers = [message.sequence for message in topic.messages]
-    return np.column_stack([stamps @ [1_000_000_000, 1], topic.publish_time, numbers])
+    stamps, numbers = zip(*((header_stamp(each.data), each.sequence) for each in topic.messages), strict=True)
+    return np.column_stack([stamps, topic.publish_time, numbers])
 
 
 def answers(states: NDArray[np.int64], commands: NDArray[np.int64]) -> tuple[float, float, NDArray[np.int64]]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,10 +17,10 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
+from fjr_monitor.recording.bag import header_stamp
 from fjr_msgs_py.node.participant import own_node
 
 DEPTH = 5000
-HEADER, STAMP = 4, struct.Struct("<iI")  # a serialised JointState begins with its stamp
 PAUSE = 0.05  # s between two reads of the queues
 
 
@@ -114,5 +113,4 @@ def waiting(subscription: Subscription, kind: Any, raw: bool = False) -> Iterato
 
 def _seen(taken: tuple[Any, Any]) -> Seen:
     data, known = taken
-    sec, nanosec = STAMP.unpack_from(data, HEADER)
-    return Seen(sec * 1_000_000_000 + nanosec, known["source_timestamp"], data)
+    return Seen(header_stamp(data), known["source_timestamp"], data)

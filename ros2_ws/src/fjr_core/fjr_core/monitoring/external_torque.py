@@ -15,7 +15,6 @@ Velocities of an observer of bandwidth w [rad/s] add the low-pass w^2 / (s + w)^
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from math import erfc, exp, gamma, sqrt
@@ -76,8 +75,22 @@ class ExternalTorqueObserver:
         return compiled_from_inputs(self.name, self.robot.fingerprint(), self.stated, self._function)
 
     def _function(self) -> ca.Function:
-        n, of_both_sides = self.robot.n, momenta(self.robot)
-        return observer_function(self.name, n, n, lambda q, dq: [each[:n] for each in of_both_sides(q, dq)])
+        n, size = self.robot.n, self.momenta.numel_out(0)
+        s = symbols(ca.MX, kept=3 * size, position=2 * n, velocity=2 * n, bandwidth=1, dt=1)
+        parts = PackedVector({"p": size, "f": size, "r": size})
+        p, f = self.momenta(s["position"], s["velocity"])
+        kept, dt = parts.unpack(s["kept"]), s["dt"]
+        follows = ca.logic_and(_finite(kept["r"][:n]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
+        r = ca.if_else(follows, next_residual(kept, p, f, 0.0, s["bandwidth"], dt), 0)
+        r = ca.if_else(_finite(ca.vertcat(p[:n], f[:n])), r, np.nan)
+        return dense_function(self.name, s, {"next": parts.pack({"p": p, "f": f, "r": r})})
+
+    @cached_property
+    def momenta(self) -> ca.Function:
+        """The function (position, velocity) -> p_l and dp_l/dt - tau (n,)."""
+        s = symbols(position=2 * self.robot.n, velocity=2 * self.robot.n)
+        p, f = (each[: self.robot.n] for each in momenta(self.robot)(*s.values()))
+        return dense_function("link_momenta", s, {"p": p, "f": f})
 
     def along(self, t: Array, position: Array, velocity: Array, before: Array | None = None) -> Array:
         """Return what is kept (k, 3n) after each of k samples; its last n columns are the estimated torques [N m].
@@ -90,21 +103,6 @@ class ExternalTorqueObserver:
         bandwidth, dt = np.full((1, len(t)), self.bandwidth), np.diff(t, prepend=0.0)[None]
         found = self.function.mapaccum("along", len(t))(kept, position.T, velocity.T, bandwidth, dt)
         return np.asarray(found.full().T)
-
-
-def observer_function(name: str, n: int, size: int, momentum: Callable[[ca.MX, ca.MX], Sequence[ca.MX]]) -> ca.Function:
-    """Return the function (kept, position, velocity, bandwidth, dt) -> kept of a momentum observer of n joints.
-
-    momentum: (position, velocity) -> p, dp/dt - tau (size,), finite if their first n are. kept (3 size,): both, r.
-    """
-    s = symbols(ca.MX, kept=3 * size, position=2 * n, velocity=2 * n, bandwidth=1, dt=1)
-    parts = PackedVector({"p": size, "f": size, "r": size})
-    p, f = momentum(s["position"], s["velocity"])
-    kept, dt = parts.unpack(s["kept"]), s["dt"]
-    follows = ca.logic_and(_finite(kept["r"][:n]), ca.logic_and(dt >= 0, dt <= LONGEST_GAP))
-    r = ca.if_else(follows, next_residual(kept, p, f, 0.0, s["bandwidth"], dt), 0)
-    r = ca.if_else(_finite(ca.vertcat(p[:n], f[:n])), r, np.nan)
-    return dense_function(name, s, {"next": parts.pack({"p": p, "f": f, "r": r})})
 
 
 def _finite(values: ca.MX) -> ca.MX:
@@ -209,10 +207,6 @@ class ContactObserver(ExternalTorqueObserver):
         """Return the observer for C; ffi: with the types of step.h."""
         noise, period = np.asarray(self.errors.torque_noise), LEARNING_PERIOD / self.bandwidth
         return TorqueObserverStruct(ffi, self.function, self.bandwidth, noise, self.limit, period, DRIFT)
-
-    def _function(self) -> ca.Function:
-        size = self.robot.n * (1 + len(self.errors.deviations))
-        return observer_function(self.name, self.robot.n, size, self.momenta)
 
     @cached_property
     def momenta(self) -> ca.Function:

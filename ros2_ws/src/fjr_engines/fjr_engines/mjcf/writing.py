@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -50,7 +49,7 @@ def specification(robot: Robot, joints: Sequence[str]) -> mujoco.MjSpec:
         rotor.mass, rotor.inertia, rotor.explicitinertial = LEAST, [LEAST] * 3, True
         _add_joint(rotor, joint + MOTOR, body.prismatic, damping=robot.D_m[k, k]).armature = robot.M_m[k, k]
         spring = spec.add_tendon(name=joint + SPRING)
-        spring.stiffness, spring.springlength = with_degree_0(robot.K[k, k], spring.stiffness), [0.0, 0.0]
+        spring.stiffness, spring.springlength = linear(robot.K[k, k]), [0.0, 0.0]
         spring.wrap_joint(joint + MOTOR, 1.0)
         spring.wrap_joint(joint, -1.0)
     return spec
@@ -91,9 +90,9 @@ def pose_of(position: ArrayLike, rotation: ArrayLike) -> Array:
     return pose
 
 
-def with_degree_0(value: float, coefficients: Any) -> Any:
-    """Return a coefficient in the form of those of a polynomial, if MuJoCo of this version takes one."""
-    return np.concatenate([[value], np.zeros(np.size(coefficients) - 1)]) if np.ndim(coefficients) else value
+def linear(coefficient: float) -> list[float]:
+    """Return the coefficients of MuJoCo's polynomial of a spring or a damper that is linear."""
+    return [coefficient, 0.0, 0.0]
 
 
 def _add_inertia(link: mujoco.MjsBody, body: Body) -> None:
@@ -107,6 +106,5 @@ def _add_inertia(link: mujoco.MjsBody, body: Body) -> None:
 
 def _add_joint(owner: mujoco.MjsBody, name: str, slides: bool, damping: float) -> mujoco.MjsJoint:
     kinds = mujoco.mjtJoint
-    joint = owner.add_joint(name=name, type=kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
-    joint.damping = with_degree_0(damping, joint.damping)
-    return joint
+    kind = kinds.mjJNT_SLIDE if slides else kinds.mjJNT_HINGE
+    return owner.add_joint(name=name, type=kind, axis=[0.0, 0.0, 1.0], damping=linear(damping))
