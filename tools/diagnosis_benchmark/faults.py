@@ -2,7 +2,8 @@
 """Runs with one known fault each, in three sizes, on the paper's joint, the two-link and the seven-joint arm.
 
 Thresholds (fjr_monitor.diagnosis.fault_isolation) are tuned on the sets of TUNING_SEEDS and validated on that of
-VALIDATION_SEED. A seed draws joint, side, size within 20 %, and initial position.
+VALIDATION_SEED. A seed draws joint, side, size within 20 %, and initial position. No threshold knows the faults and
+physics of FOREIGN, whose runs are drawn by their number alone.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+
+from fjr_core.numerics.checks import Array
 
 from .cases import DURATION, JOINTS, Case, nominal, start_of
 from .lock_step import Change
@@ -29,8 +32,11 @@ NOISE = {  # standard deviations of all sensors, except in "perfect" runs
     "motor_velocity_noise": 5e-4,
 }
 SPREAD = 0.2  # relative spread of the sizes
+FOREIGN_SEED, FOREIGN_COUNT, FOREIGN_DURATION = 28, 200, 4.0  # s
+MARGINS = {"paper_k31": 5.45e-3, "two_link": 10.1e-3, "arm7": 2.38e-3}  # s, of delay
 Maker = Callable[[Case], Case]
 """What gives a case its fault, by its joint, side and size."""
+ForeignMaker = Callable[[Case, np.random.Generator], Case]
 
 
 def joints_of(case: Case) -> str:
@@ -42,7 +48,7 @@ def joints_of(case: Case) -> str:
 
 def duration_of(case: Case) -> float:
     """Return the duration [s]; wiring faults stop the robot at the start."""
-    return STARTING if case.kind in WIRING else DURATION
+    return STARTING if case.kind in WIRING else FOREIGN_DURATION if case.kind in FOREIGN else DURATION
 
 
 def _constant(c: Case) -> Case:
@@ -161,3 +167,103 @@ def _case(rng: np.random.Generator, kind: str, i: int, scenario: str) -> Case | 
     case = Case(f"{scenario} {kind} {side} {j + 1} {f:.3g}", scenario, kind, joint=j, side=side, size=f)
     case = maker(case.imperfect(seed=int(rng.integers(1000)), **noise_of(n)))
     return replace(case, start=start_of(scenario, rng))
+
+
+# Faults and physics that the sets lack.
+
+
+def _distorted(c: Case, error: Callable[[Array, float], Array], rate: Callable[[Array], Array]) -> Case:
+    """Return a fault that adds error(q, t) to one position, and rate(q) dq to its velocity."""
+    one = np.eye(2 * c.n)[c.channel]
+    last: dict[str, Any] = {"t": -1e-3, "q": np.zeros(2 * c.n)}
+
+    def position(q: Array) -> Array:
+        last.update(t=last["t"] + 1e-3, q=q)
+        return np.asarray(q + one * error(q, last["t"]))
+
+    return c.faulty(position=position, velocity=lambda dq: dq + one * rate(last["q"]) * dq)
+
+
+def _gain(c: Case, rng: np.random.Generator) -> Case:
+    g = rng.choice([-1, 1]) * rng.uniform(0.005, 0.03)
+    return _distorted(c, lambda q, t: g * q, lambda q: g + 0 * q)
+
+
+def _eccentric(c: Case, rng: np.random.Generator) -> Case:
+    a, at = rng.uniform(2e-3, 8e-3), rng.uniform(0, 2 * np.pi)
+    return _distorted(c, lambda q, t: a * np.sin(q + at), lambda q: a * np.cos(q + at))
+
+
+def _slip(c: Case, rng: np.random.Generator) -> Case:
+    jump, begin = 0.5 * c.torque / c.K, rng.uniform(0.3, 0.7) * FOREIGN_DURATION
+    return _distorted(c, lambda q, t: jump * (t >= begin) + 0 * q, lambda q: 0 * q)
+
+
+def _drift(c: Case, rng: np.random.Generator) -> Case:
+    speed = 0.3 * c.torque / c.K
+    return _distorted(c, lambda q, t: speed * t + 0 * q, lambda q: 0 * q)
+
+
+def _cubic(c: Case, rng: np.random.Generator) -> Case:
+    growth, at = rng.uniform(0.1, 0.4), c.torque / c.K
+    return c.faulty(spring=lambda zeta: c.K * growth * zeta * (zeta / at) ** 2 * c.at(1.0))
+
+
+def _kinematic(c: Case, rng: np.random.Generator) -> Case:
+    size = 0.2 * c.torque
+    return c.faulty(spring=lambda zeta: size * np.sin(40 * zeta * c.K / c.torque) * c.at(1.0))
+
+
+def _stribeck(c: Case, rng: np.random.Generator) -> Case:
+    level = c.at(0.1 * c.torque)
+    sizes = {"coulomb": level, "static": 1.5 * level}
+    friction = {f"{c.side}_{name}_friction": size.tolist() for name, size in sizes.items()}
+    return c.imperfect(**friction, friction_smoothing_velocity=[0.05] * c.n)
+
+
+def _late(c: Case, rng: np.random.Generator) -> Case:
+    return c.imperfect(command_delay=float(rng.uniform(0.3, 0.9) * MARGINS[c.scenario]))
+
+
+def _varying(c: Case, rng: np.random.Generator) -> Case:
+    return c.imperfect(command_jitter=float(rng.uniform(0.3, 0.6) * MARGINS[c.scenario]))
+
+
+def _soft_later(c: Case, rng: np.random.Generator) -> Case:
+    share = c.at(rng.uniform(0.1, 0.25))
+    calls = [0.0, rng.uniform(0.3, 0.7) * FOREIGN_DURATION]
+
+    def effort(u: Array) -> Array:
+        calls[0] += 1e-3
+        return np.asarray(u * (1 - share * (calls[0] >= calls[1])))
+
+    return c.faulty(effort=effort)
+
+
+FOREIGN: dict[str, tuple[tuple[str, ...], tuple[str, ...], ForeignMaker]] = {
+    "encoder gain": (("link", "motor"), ("encoder gain",), _gain),
+    "eccentricity of an encoder": (("link", "motor"), ("eccentricity",), _eccentric),
+    "encoder that slips": (("link", "motor"), ("encoder slip",), _slip),
+    "encoder that drifts": (("link", "motor"), ("encoder drift",), _drift),
+    "motor that weakens": (("motor",), ("torque constant",), _soft_later),
+    "Stribeck friction": (("link", "motor"), ("Coulomb friction",), _stribeck),
+    "cubic spring": (("joint",), ("cubic stiffness",), _cubic),
+    "rippled spring": (("joint",), (), _kinematic),
+    "delay": (("",), (), _late),
+    "delay that varies": (("",), (), _varying),
+}
+"""Sides, findings that are right (none: that of no single kind), and how the fault is made."""
+
+
+def foreign(number: int) -> Case:
+    """Return a run with a fault on random joints, with encoders of 16 to 20 bits and noisy velocities."""
+    rng = np.random.default_rng((FOREIGN_SEED, number))
+    kind, scenario = list(FOREIGN)[number % len(FOREIGN)], str(rng.choice(ROBOTS))
+    n, (sides, _, maker) = JOINTS[scenario], FOREIGN[kind]
+    joint, side = int(rng.integers(n)), str(rng.choice(sides))
+    drawn = Case(f"{number} {scenario} {kind}", scenario, kind, joint=joint, side=side, size=0.2)
+    drawn = maker(drawn.imperfect(seed=number), rng)
+    bits, noise = [float(rng.integers(16, 21))] * n, [float(10 ** rng.uniform(-4, -3))] * n
+    drawn = drawn.imperfect(link_encoder_bits=bits, motor_encoder_bits=bits)
+    drawn = drawn.imperfect(link_velocity_noise=noise, motor_velocity_noise=noise)
+    return replace(drawn, start=start_of(scenario, rng))

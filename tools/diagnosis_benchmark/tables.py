@@ -4,7 +4,7 @@
 . ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults wiring alarms foreign
 
 Runs are diagnosed from their bags, faults from their records. Each wrong diagnosis is printed to stderr. Causes and
-faults take 10 and 15 minutes. Results of `foreign` are kept in FOREIGN: a later call takes up where an earlier one
+faults take 10 and 15 minutes. Results of `foreign` are kept in RESULTS: a later call takes up where an earlier one
 ended, and several processes, each in an order of its own, share the work.
 """
 
@@ -18,23 +18,25 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.figures import ROOT, kept, markdown, put
 from fjr_monitor.diagnosis.diagnosis import diagnose
+from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_monitor.diagnosis.torque_faults import UNKNOWN
 from fjr_monitor.diagnosis.verdict import Diagnosis
 
-from . import cases, faults, foreign
-from .cases import DEGRADED, HOLDING, UNDECIDED, VIOLATED, Case, Label
-from .faults import FAULTS, HEALTHY, ROBOTS, WIRING, duration_of, joints_of
+from . import cases, faults
+from .cases import DEGRADED, HOLDING, SETTLED, UNDECIDED, VIOLATED, Case, Label, nominal
+from .faults import FAULTS, FOREIGN, FOREIGN_COUNT, HEALTHY, ROBOTS, WIRING, duration_of, foreign, joints_of
 from .lock_step import read_record, write_bag
 from .wiring import HEALTHY_LASTING, LASTING, SEEDS, SENSORS, Stop, healthy, with_sensors, wrong
 
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
-FOREIGN = ROOT / "runs" / "foreign"
+RESULTS = ROOT / "runs" / "foreign"
 STARTS = 60  # of each robot and kind of noise
 OTHER, SEVERAL = "several or none", "several"
 KINDS = (*FAULTS, *WIRING, HEALTHY)
@@ -97,14 +99,19 @@ class Outcome(NamedTuple):
     joint: bool
 
 
+def diagnosed_fault(case: Case) -> tuple[Record, JointTolerances, Diagnosis]:
+    """Simulate a fault; return the record, what its robot tolerates, and the diagnosis."""
+    loop = case.run(duration_of(case))
+    record, axes = loop.record(), JointTolerances.of(loop.scenario.controller_values, loop.scenario.robot)
+    return record, axes, diagnose(record, loop.scenario.tracking_law, axes=axes)
+
+
 def outcome(case: Case) -> Outcome:
     """Simulate a fault and compare the first finding with the label."""
-    loop = case.run(duration_of(case))
-    axes = JointTolerances.of(loop.scenario.controller_values, loop.scenario.robot)
-    findings = diagnose(loop.record(), loop.scenario.tracking_law, axes=axes).findings
-    if not findings:
+    *_, said = diagnosed_fault(case)
+    if not said.findings:
         return Outcome(case.kind, HEALTHY, case.kind == HEALTHY)
-    return Outcome(case.kind, findings[0].kind, findings[0].joint == joints_of(case))
+    return Outcome(case.kind, said.findings[0].kind, said.findings[0].joint == joints_of(case))
 
 
 def faults_of(seed: int) -> list[str]:
@@ -156,12 +163,41 @@ def alarms() -> list[str]:
     return markdown(("noise, 1 µrad to 1 mrad", "`two_link` stopped", "`arm7` stopped"), rows)
 
 
+def foreign_result(number: int) -> dict[str, Any]:
+    """Return what the diagnosis says of a run of FOREIGN, and its largest settled error relative to the tolerance."""
+    case = foreign(number)
+    record, axes, said = diagnosed_fault(case)
+    error = np.abs(record.position[:, : case.n] - record.jets[:, 0])[record.t > 2 * SETTLED]
+    first = said.findings[0] if said.findings else None
+    return {
+        "name": case.name,
+        "kind": case.kind,
+        "joint": nominal(case.scenario).joints[case.joint],
+        "verdict": said.kind,
+        "found": first.kind if first else "",
+        "at": first.joint if first else "",
+        "error": float((error / axes.tolerance).max(initial=0.0)),
+    }
+
+
 def foreign_table() -> list[str]:
-    """Return the table of the faults that the sets lack."""
-    files = {number: FOREIGN / f"{number:04d}.json" for number in range(foreign.COUNT)}
-    order = np.random.default_rng(os.getpid()).permutation(foreign.COUNT).tolist()
-    found = {number: kept(files[number], partial(foreign.result, number)) for number in order}
-    return foreign.table([found[number] for number in files])
+    """Return the table of the faults that the sets lack, with a row for each kind and one for all."""
+    files = {number: RESULTS / f"{number:04d}.json" for number in range(FOREIGN_COUNT)}
+    order = np.random.default_rng(os.getpid()).permutation(FOREIGN_COUNT).tolist()
+    results = [kept(files[number], partial(foreign_result, number)) for number in order]
+    found: list[tuple[str, ...]] = []
+    for kind in (*FOREIGN, "all"):
+        own = [each for each in results if kind in ("all", each["kind"])]
+        named = [each for each in own if each["at"] and each["found"] != UNKNOWN and " or " not in each["found"]]
+        right = [each["found"] in FOREIGN[each["kind"]][1] and each["at"] == each["joint"] for each in named]
+        located = [each for each in own if FOREIGN[each["kind"]][0] != ("",)]
+        joints = sum(each["at"] == each["joint"] for each in located)
+        wrongly = sum(each["verdict"] == "holding" and each["error"] > 1 for each in own)
+        held = sum(each["verdict"] == "holding" for each in own)
+        counts = f"{sum(right)} of {len(named)}", f"{joints} of {len(located)}"
+        found.append((kind, str(len(own)), *counts, str(held), str(wrongly)))
+    right_kind, beyond = "one kind and joint named: right", "of these beyond the tolerance"
+    return markdown(("fault", "runs", right_kind, "joint right", "holding", beyond), found)
 
 
 def of_seed(heading: str, seed: int, lines: Callable[[int], list[str]]) -> list[str]:
