@@ -76,7 +76,7 @@ LAYERS = {
         "cli",
     ),
     "fjr_proofs": ("verification", "rate error_bound", "kept_rate check_rows"),
-    "fjr_engines": ("mjcf", "contact", "mujoco drake drawing", "film viewer"),
+    "fjr_engines": ("mjcf", "mujoco drake", "drawing", "film viewer"),
     "fjr_bringup": ("node_process clients", "runner", "cli"),
 }
 """Folders and files of each package from the bottom up; a layer imports lower layers only, not its own neighbours."""

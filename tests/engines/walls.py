@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from diagnosis_benchmark.lock_step import LockStepLoop, write_bag
 from fjr_core.config.scenario import Scenario
-from fjr_engines.contact import InsideError
 from fjr_engines.drawing import DrawnArm
+from fjr_engines.mujoco import InsideError
 from fjr_monitor.diagnosis.verdict import EXTERNAL
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.report.write import report_bag

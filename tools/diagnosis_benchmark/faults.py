@@ -172,7 +172,7 @@ def _case(rng: np.random.Generator, kind: str, i: int, scenario: str) -> Case | 
 # Faults and physics that the sets lack.
 
 
-def _distorted(c: Case, error: Callable[[Array, float], Array], rate: Callable[[Array], Array]) -> Case:
+def _distorted(c: Case, error: Callable[[Array, float], Any], rate: Callable[[Array], Any] = lambda _: 0.0) -> Case:
     """Return a fault that adds error(q, t) to one position, and rate(q) dq to its velocity."""
     one = np.eye(2 * c.n)[c.channel]
     last: dict[str, Any] = {"t": -1e-3, "q": np.zeros(2 * c.n)}
@@ -186,22 +186,17 @@ def _distorted(c: Case, error: Callable[[Array, float], Array], rate: Callable[[
 
 def _gain(c: Case, rng: np.random.Generator) -> Case:
     g = rng.choice([-1, 1]) * rng.uniform(0.005, 0.03)
-    return _distorted(c, lambda q, t: g * q, lambda q: g + 0 * q)
+    return _distorted(c, lambda q, _: g * q, lambda _: g)
 
 
 def _eccentric(c: Case, rng: np.random.Generator) -> Case:
     a, at = rng.uniform(2e-3, 8e-3), rng.uniform(0, 2 * np.pi)
-    return _distorted(c, lambda q, t: a * np.sin(q + at), lambda q: a * np.cos(q + at))
+    return _distorted(c, lambda q, _: a * np.sin(q + at), lambda q: a * np.cos(q + at))
 
 
 def _slip(c: Case, rng: np.random.Generator) -> Case:
     jump, begin = 0.5 * c.torque / c.K, rng.uniform(0.3, 0.7) * FOREIGN_DURATION
-    return _distorted(c, lambda q, t: jump * (t >= begin) + 0 * q, lambda q: 0 * q)
-
-
-def _drift(c: Case, rng: np.random.Generator) -> Case:
-    speed = 0.3 * c.torque / c.K
-    return _distorted(c, lambda q, t: speed * t + 0 * q, lambda q: 0 * q)
+    return _distorted(c, lambda _, t: jump * (t >= begin))
 
 
 def _cubic(c: Case, rng: np.random.Generator) -> Case:
@@ -221,14 +216,6 @@ def _stribeck(c: Case, rng: np.random.Generator) -> Case:
     return c.imperfect(**friction, friction_smoothing_velocity=[0.05] * c.n)
 
 
-def _late(c: Case, rng: np.random.Generator) -> Case:
-    return c.imperfect(command_delay=float(rng.uniform(0.3, 0.9) * MARGINS[c.scenario]))
-
-
-def _varying(c: Case, rng: np.random.Generator) -> Case:
-    return c.imperfect(command_jitter=float(rng.uniform(0.3, 0.6) * MARGINS[c.scenario]))
-
-
 def _soft_later(c: Case, rng: np.random.Generator) -> Case:
     share = c.at(rng.uniform(0.1, 0.25))
     calls = [0.0, rng.uniform(0.3, 0.7) * FOREIGN_DURATION]
@@ -241,16 +228,24 @@ def _soft_later(c: Case, rng: np.random.Generator) -> Case:
 
 
 FOREIGN: dict[str, tuple[tuple[str, ...], tuple[str, ...], ForeignMaker]] = {
-    "encoder gain": (("link", "motor"), ("encoder gain",), _gain),
-    "eccentricity of an encoder": (("link", "motor"), ("eccentricity",), _eccentric),
-    "encoder that slips": (("link", "motor"), ("encoder slip",), _slip),
-    "encoder that drifts": (("link", "motor"), ("encoder drift",), _drift),
-    "motor that weakens": (("motor",), ("torque constant",), _soft_later),
-    "Stribeck friction": (("link", "motor"), ("Coulomb friction",), _stribeck),
-    "cubic spring": (("joint",), ("cubic stiffness",), _cubic),
-    "rippled spring": (("joint",), (), _kinematic),
-    "delay": (("",), (), _late),
-    "delay that varies": (("",), (), _varying),
+    "encoder gain": (BOTH, ("encoder gain",), _gain),
+    "eccentricity of an encoder": (BOTH, ("eccentricity",), _eccentric),
+    "encoder that slips": (BOTH, ("encoder slip",), _slip),
+    "encoder that drifts": (
+        BOTH,
+        ("encoder drift",),
+        lambda c, _: _distorted(c, lambda _, t: 0.3 * c.torque / c.K * t),
+    ),
+    "motor that weakens": (MOTOR, ("torque constant",), _soft_later),
+    "Stribeck friction": (BOTH, ("Coulomb friction",), _stribeck),
+    "cubic spring": (SPRING, ("cubic stiffness",), _cubic),
+    "rippled spring": (SPRING, (), _kinematic),
+    "delay": (("",), (), lambda c, rng: c.imperfect(command_delay=rng.uniform(0.3, 0.9) * MARGINS[c.scenario])),
+    "delay that varies": (
+        ("",),
+        (),
+        lambda c, rng: c.imperfect(command_jitter=rng.uniform(0.3, 0.6) * MARGINS[c.scenario]),
+    ),
 }
 """Sides, findings that are right (none: that of no single kind), and how the fault is made."""
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import fjr_core as fjr
 from bench.build import chain_urdf, joint_names
-from bench.uncertain_robots import on_reference
+from bench.error_bound import on_reference
 from fjr_core.numerics.checks import Array
 from fjr_proofs.error_bound import sampled_contraction
 from fjr_proofs.error_bound.cells import cells_of

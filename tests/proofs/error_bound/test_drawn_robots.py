@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from bench.uncertain_robots import UncertainLoop
+from bench.error_bound import UncertainLoop
 from fjr_core.config.scenario import Scenario
 from fjr_design.batch.draws import uniform
 from fjr_msgs_py.scenarios import library

@@ -14,8 +14,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 import fjr_core as fjr
-from bench.error_bound import drawn
-from bench.uncertain_robots import UncertainLoop, on_reference
+from bench.error_bound import UncertainLoop, drawn, on_reference
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS

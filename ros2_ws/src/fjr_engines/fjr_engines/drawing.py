@@ -17,9 +17,9 @@ from fjr_core.config.robot import description, locked_positions
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 
-from .contact import add_obstacle
 from .mjcf.export import add_looks
 from .mjcf.writing import specification
+from .mujoco import add_obstacle
 
 ORANGE = np.array([0.9, 0.4, 0.0, 1.0])
 AZIMUTH, ELEVATION, FIELD = 125.0, -20.0, 30.0  # degrees; of the camera

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo as the simulator of the plant; its steps are in native/mujoco_steps.c, which needs no Python."""
+"""MuJoCo as the simulator of the plant; its steps are in native/mujoco_steps.c, which needs no Python.
+
+The arm may touch an obstacle: the shapes of links and obstacle are geoms that collide with the other only. Those of the
+links are the ones that the pages show (fjr_monitor.scene), each mesh as its convex hull: the visuals of the URDF, and
+where there are none, capsules between the joints.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +17,25 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from fjr_core.config.plant import Obstacle
-from fjr_core.model.rigid_arm import tip_frame
+from fjr_core.config.plant import BOX, MJCF, TABLE, UP, Obstacle
+from fjr_core.errors import ParameterError
+from fjr_core.model.rigid_arm import rotation_to, tip_frame
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import MOTOR, Array
 from fjr_core.numerics.jit import CLibrary, c_library
 from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
+from fjr_core.urdf.tree import is_xml
 from fjr_plant.engine import chain, check_equations
 
-from .contact import ARM, OBSTACLE, InsideError, add_contact, check_outside
-from .mjcf.writing import LINK, exact_inertia, specification
+from .mjcf.export import add_looks
+from .mjcf.writing import LINK, exact_inertia, quaternion, specification
 
-PAYLOAD = "payload"
+PAYLOAD, PREFIX = "payload", "obstacle_"
 DISABLED = mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_LIMIT
+ARM, OBSTACLE = 1, 2
+"""Bits of MuJoCo's contype of arm and obstacle; each has the other's as conaffinity."""
 
 
 class MujocoEngine:
@@ -112,3 +122,62 @@ def mujoco_program() -> CLibrary:
     )
     options = [f"-I{wheel / 'include'}", f"-L{wheel}", f"-l:libmujoco.so.{mujoco.__version__}", f"-Wl,-rpath,{wheel}"]
     return c_library("fjr_mujoco", "\n".join(headers), source, options=options)
+
+
+class InsideError(ParameterError):
+    """An obstacle that is inside the arm."""
+
+
+def add_contact(spec: mujoco.MjSpec, robot: Robot, joints: Sequence[str], obstacle: Obstacle) -> None:
+    """Add an obstacle and the shapes of the links of a robot of the named joints to its specification.
+
+    Raises ParameterError, and RobotError for a URDF that cannot be read.
+    """
+    add_looks(spec, robot, joints, obstacle.urdf, obstacle.locked)
+    for joint in joints:
+        for geom in spec.body(joint + LINK).geoms:
+            geom.contype, geom.conaffinity, geom.mass = ARM, OBSTACLE, 0.0
+    add_obstacle(spec, obstacle)
+
+
+def add_obstacle(spec: mujoco.MjSpec, obstacle: Obstacle) -> None:
+    """Add the geoms of an obstacle to a specification; raises ParameterError."""
+    other = _read(obstacle.mjcf) if obstacle.kind == MJCF else mujoco.MjSpec()
+    if obstacle.kind != MJCF:
+        centre, turn = obstacle.position, np.eye(3)
+        if obstacle.kind != BOX:
+            turn = rotation_to(np.asarray(UP if obstacle.kind == TABLE else obstacle.normal))
+            centre = centre - turn[:, 2] * obstacle.size[2] / 2
+        place = {"pos": centre, "quat": quaternion(turn), "size": obstacle.size / 2}
+        kind, brown = mujoco.mjtGeom.mjGEOM_BOX, [0.7, 0.6, 0.5, 1.0]
+        other.worldbody.add_geom(name=obstacle.kind, type=kind, rgba=brown, **place)
+    for geom in other.geoms:
+        geom.contype, geom.conaffinity = OBSTACLE, ARM
+    spec.attach(other, prefix=PREFIX, frame=spec.worldbody.add_frame())
+
+
+def _read(mjcf: str) -> mujoco.MjSpec:
+    """Return the bodies of an MJCF path or text, of which none may move; raise ParameterError."""
+    try:
+        spec = mujoco.MjSpec.from_string(mjcf) if is_xml(mjcf) else mujoco.MjSpec.from_file(mjcf)
+        spec.compile()
+    except ValueError as error:
+        raise ParameterError(f"obstacle.mjcf: {' '.join(str(error).split())}; expected a valid MJCF") from None
+    if spec.joints:
+        raise ParameterError(f"obstacle.mjcf has the joint '{spec.joints[0].name}'; expected bodies that do not move")
+    if not spec.geoms:
+        raise ParameterError("obstacle.mjcf has no geom; expected at least one")
+    return spec
+
+
+def check_outside(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Raise InsideError if the arm at qpos of the data is inside the obstacle."""
+    mujoco.mj_fwdPosition(model, data)
+    if not data.ncon:
+        return
+    deepest = data.contact[int(np.argmin(data.contact.dist))]
+    arm = next(geom for geom in deepest.geom if model.geom_contype[geom] == ARM)
+    link = model.body(model.geom_bodyid[arm]).name.removesuffix(LINK)
+    raise InsideError(
+        f"the obstacle is {-1e3 * deepest.dist:.3g} mm inside the link of {link}; expected it outside the arm"
+    )
