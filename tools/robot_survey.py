@@ -20,7 +20,7 @@ import argparse
 import json
 import re
 import subprocess
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import distribution
 from itertools import combinations
@@ -196,7 +196,7 @@ def tracks(robot: PublicRobot) -> bool:
 SHIPPED = ("paper_k31", "paper_k3p1", "two_link", "arm7")
 SCENARIOS: Mapping[str, PublicRobot | None] = {**dict.fromkeys(SHIPPED), **{robot.name: robot for robot in ROBOTS}}
 KINDS = (OWN, *ENGINES)
-PAIRS = {f"{one} - {other}": (one, other) for one, other in combinations(KINDS, 2)}
+PAIRS = [*map(" - ".join, combinations(KINDS, 2))]
 MOVED, SETTLED = 5.0, 2.0  # s
 LARGEST = 1e-6  # rad, m: difference of two engines with the same motion
 MOST_STEPS = 64
@@ -221,31 +221,30 @@ def moved_by(engine: str, scenario: str, inner_steps: int, duration: float) -> M
     return Motion(positions, float(np.max(late, initial=0.0)), float(np.max(np.abs(efforts))))
 
 
-def differences(motions: Mapping[str, Motion]) -> dict[str, float]:
+def differences(motions: Sequence[Motion]) -> list[float]:
     """Return the largest difference of a joint between each pair of engines [rad]."""
-    return {
-        pair: float(np.max(np.abs(motions[one].positions - motions[other].positions)))
-        for pair, (one, other) in PAIRS.items()
-    }
+    pairs = combinations([each.positions for each in motions], 2)
+    return [float(np.max(np.abs(one - other))) for one, other in pairs]
 
 
 def compared(scenario: str, duration: float = MOVED) -> dict[str, Any]:
     """Compare the engines with as many inner steps as they need to agree, and with twice as many."""
+
+    def moved(steps: int) -> list[Motion]:
+        return [moved_by(engine, scenario, steps, duration) for engine in KINDS]
+
     inner_steps = library.load(scenario).inner_steps
-    motions = {engine: moved_by(engine, scenario, inner_steps, duration) for engine in KINDS}
-    while True:
-        finer = {engine: moved_by(engine, scenario, 2 * inner_steps, duration) for engine in KINDS}
-        found = differences(motions)
-        if max(found.values()) <= LARGEST or inner_steps >= MOST_STEPS:
-            break
-        motions, inner_steps = finer, 2 * inner_steps
+    motions, finer = moved(inner_steps), moved(2 * inner_steps)
+    while max(found := differences(motions)) > LARGEST and inner_steps < MOST_STEPS:
+        inner_steps *= 2
+        motions, finer = finer, moved(2 * inner_steps)
     return {
-        "joints": motions[OWN].positions.shape[1] // 2,
+        "joints": motions[0].positions.shape[1] // 2,
         "inner steps": inner_steps,
-        "differences": list(found.values()),
-        "finer": list(differences(finer).values()),
-        "errors": [each.error for each in motions.values()],
-        "efforts": [each.effort for each in motions.values()],
+        "differences": found,
+        "finer": differences(finer),
+        "errors": [each.error for each in motions],
+        "efforts": [each.effort for each in motions],
     }
 
 
@@ -266,16 +265,11 @@ def engines_of(name: str) -> dict[str, Any]:
 
 def engine_row(name: str, found: Mapping[str, Any]) -> list[str]:
     """Return the cells of a scenario."""
-    finer = ", ".join(f"{each:.0e}" for each in found["finer"])
-    errors, efforts = {f"{each:.1e}" for each in found["errors"]}, {f"{each:.3f}" for each in found["efforts"]}
     numbers = [f"{each:.1e}" for each in found["differences"]]
-    return [
-        name,
-        *(str(found[each]) for each in ENGINE_HEADINGS[1:3]),
-        *numbers,
-        finer,
-        *map(", ".join, (errors, efforts)),
-    ]
+    finer = [f"{each:.0e}" for each in found["finer"]]
+    errors, efforts = {f"{each:.1e}" for each in found["errors"]}, {f"{each:.3f}" for each in found["efforts"]}
+    counts = str(found["joints"]), str(found["inner steps"])
+    return [name, *counts, *numbers, *map(", ".join, (finer, errors, efforts))]
 
 
 def engine_table(outcomes: Mapping[str, Mapping[str, Any]]) -> list[str]:
