@@ -7,7 +7,7 @@ The peers simulate one run after the other as typical SciPy and MuJoCo code does
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from math import sin
@@ -131,19 +131,17 @@ def mujoco_peer(loop: ClosedLoop, draws: Draws, run: int) -> float:
     return _tracked(loop, follow)
 
 
-def numbers(robot: Robot, draws: Draws, run: int) -> tuple[float, float, float, float, float, float]:
-    """Return M_l, m g l, M_m, K, D_l and D_m of a run."""
-    factor = {name: float(np.asarray(getattr(draws, name))[run]) for name in RANGES}
-    load = float(robot.grad_P_l([np.pi / 2])[0]) * factor["gravity"]
-    M_l, M_m = float(robot.M_l([0.0])[0, 0]), float(robot.M_m[0, 0])
-    return (
-        M_l * factor["link_inertia"],
-        load,
-        M_m * factor["motor_inertia"],
-        float(robot.K[0, 0]) * factor["stiffness"],
-        float(robot.D_l[0, 0]) * factor["link_damping"],
-        float(robot.D_m[0, 0]) * factor["motor_damping"],
-    )
+def numbers(robot: Robot, draws: Draws, run: int) -> Iterator[float]:
+    """Yield M_l, m g l, M_m, K, D_l and D_m of a run."""
+    for name, nominal in {
+        "link_inertia": robot.M_l([0.0]),
+        "gravity": robot.grad_P_l([np.pi / 2]),
+        "motor_inertia": robot.M_m,
+        "stiffness": robot.K,
+        "link_damping": robot.D_l,
+        "motor_damping": robot.D_m,
+    }.items():
+        yield float(nominal.item() * np.asarray(getattr(draws, name))[run])
 
 
 def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float:
