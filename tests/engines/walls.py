@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from diagnosis_benchmark.lock_step import LockStepLoop, write_bag
 from fjr_core.config.scenario import Scenario
+from fjr_core.errors import ParameterError
 from fjr_engines.drawing import DrawnArm
-from fjr_engines.mujoco import InsideError
 from fjr_monitor.diagnosis.verdict import EXTERNAL
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.report.write import report_bag
@@ -75,7 +75,7 @@ def _wall(rng: np.random.Generator, free: Array) -> dict[str, Any] | None:
     }
     try:
         LockStepLoop(loaded(wall))
-    except InsideError:
+    except ParameterError:  # the wall is inside the arm
         return None
     return wall
 

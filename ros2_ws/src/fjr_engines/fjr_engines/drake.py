@@ -47,7 +47,7 @@ class DrakeEngine:
 
     in_python = True
 
-    def __init__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any) -> None:
+    def __init__(self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, _: None = None) -> None:
         """inner_step [ns]: of the integrator; ffi: with the types of robot.h. Raises ParameterError, RobotError."""
         check_equations(plant, "drake")
         self._plant, self._ffi, self._dt = plant, ffi, inner_step * 1e-9

@@ -83,13 +83,13 @@ class MujocoEngine:
         self._program.lib.fjr_mujoco_begin(self._state)
 
     def obstruct(self, present: bool, position: Array) -> None:
-        """Put the obstacle to its place or take it away; raise InsideError if the arm at q_l, q_m (2n,) is there."""
+        """Put the obstacle to its place or take it away; raise ParameterError if the arm at q_l, q_m (2n,) is there."""
         geoms, there = self._obstacle, mujoco.MjData(self.model)
         self.model.geom_contype[geoms], self.model.geom_conaffinity[geoms] = OBSTACLE * present, ARM * present
         there.qpos[self._dof] = position
         try:
             check_outside(self.model, there)
-        except InsideError:
+        except ParameterError:
             self.model.geom_contype[geoms] = self.model.geom_conaffinity[geoms] = 0
             raise
 
@@ -122,10 +122,6 @@ def mujoco_program() -> CLibrary:
     )
     options = [f"-I{wheel / 'include'}", f"-L{wheel}", f"-l:libmujoco.so.{mujoco.__version__}", f"-Wl,-rpath,{wheel}"]
     return c_library("fjr_mujoco", "\n".join(headers), source, options=options)
-
-
-class InsideError(ParameterError):
-    """An obstacle that is inside the arm."""
 
 
 def add_contact(spec: mujoco.MjSpec, robot: Robot, joints: Sequence[str], obstacle: Obstacle) -> None:
@@ -171,13 +167,13 @@ def _read(mjcf: str) -> mujoco.MjSpec:
 
 
 def check_outside(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Raise InsideError if the arm at qpos of the data is inside the obstacle."""
+    """Raise ParameterError if the arm at qpos of the data is inside the obstacle."""
     mujoco.mj_fwdPosition(model, data)
     if not data.ncon:
         return
     deepest = data.contact[int(np.argmin(data.contact.dist))]
     arm = next(geom for geom in deepest.geom if model.geom_contype[geom] == ARM)
     link = model.body(model.geom_bodyid[arm]).name.removesuffix(LINK)
-    raise InsideError(
+    raise ParameterError(
         f"the obstacle is {-1e3 * deepest.dist:.3g} mm inside the link of {link}; expected it outside the arm"
     )

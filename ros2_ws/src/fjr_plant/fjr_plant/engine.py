@@ -35,9 +35,9 @@ class Engine(Protocol):
     handle: Any
 
     def __init__(
-        self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, *obstacle: Obstacle
+        self, plant: NonidealPlant, joints: Sequence[str], inner_step: int, ffi: Any, obstacle: Obstacle | None
     ) -> None:
-        """inner_step [ns], ffi: cffi's FFI of robot.h, obstacle: at most one, for a simulator that has contact.
+        """inner_step [ns], ffi: cffi's FFI of robot.h, obstacle: None for a simulator without contact.
 
         Raises ParameterError or RobotError for a robot that the simulator cannot express.
         """

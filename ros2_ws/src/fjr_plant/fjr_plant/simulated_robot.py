@@ -133,8 +133,7 @@ class SimulatedRobot:
         self._inner_step = inner_step
         self._sensors = Sensors(sensor_errors or SensorErrors(self._n), seed)
         self._build(len(Imperfections(self._n).vector))
-        more = (obstacle,) if obstacle else ()
-        self._engine = engine(self._imperfect, joints, inner_step, self._program.ffi, *more) if engine else None
+        self._engine = engine(self._imperfect, joints, inner_step, self._program.ffi, obstacle) if engine else None
         if self._engine:
             self.pointer.engine, self.pointer.engine_advance = self._engine.handle, self._engine.advance
         self._use(imperfections or Imperfections(self._n))
