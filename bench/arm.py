@@ -22,11 +22,8 @@ from fjr_msgs_py.scenarios import library
 
 URDF = library.find("arm7").parents[1] / "robots" / "arm7.urdf"
 JOINT = "joint{}"
-OFF = (
-    *("CONSTRAINT", "EQUALITY", "FRICTIONLOSS", "LIMIT", "CONTACT", "REFSAFE", "WARMSTART", "FILTERPARENT"),
-    *("ACTUATION", "CLAMPCTRL", "SENSOR", "MIDPHASE", "AUTORESET", "EULERDAMP"),
-)
-"""Features of MuJoCo that eq. (36) does not need."""
+NEEDED = ("SPRING", "DAMPER", "GRAVITY")
+"""Features of MuJoCo that eq. (36) needs, among those that can be disabled."""
 
 
 @cache
@@ -57,13 +54,13 @@ def random_motion(n: int, seed: int) -> tuple[Array, Array, Array]:
 def mujoco_spec(robot: Robot, dt: float, on: Collection[str] = ()) -> mujoco.MjSpec:
     """Return the elastic robot of fjr_engines in MuJoCo alone, with steps of dt [s]; qpos = (q_l, q_m).
 
-    on: features that are not disabled; with "ACTUATION" the motors are controls, else efforts are qfrc_applied.
+    on: other features that are not disabled; with "ACTUATION" the motors are controls, else efforts are qfrc_applied.
     """
     joints = [JOINT.format(k) for k in range(robot.n)]
     spec = specification(robot, joints)
     spec.option.timestep = dt
-    off = (name for name in OFF if name not in on)
-    spec.option.disableflags = sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in off)
+    needed, bits = {f"mjDSBL_{name}" for name in (*NEEDED, *on)}, mujoco.mjtDisableBit.__members__
+    spec.option.disableflags = sum(int(bits[name]) for name in {*bits} - needed if name.startswith("mjDSBL_"))
     for joint in joints if "ACTUATION" in on else ():
         spec.add_actuator(name=joint, target=joint + MOTOR, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     return spec
