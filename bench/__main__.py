@@ -55,6 +55,7 @@ BENCHES = {
     "starts": Bench(starts.arm7, {"most": 2}, long=True),
     "memory": Bench(memory.of_nodes, {"minutes": 0.5}, long=True),
     "sweep-memory": Bench(memory.of_sweep, {"many": 20_000}, long=True),
+    "report-memory": Bench(memory.of_reports, {"minutes": 1.0}, long=True),
     "excitation": Bench(identification_peers.of_designed_motion, {"duration": 5.0}, long=True),
 }
 

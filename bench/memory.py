@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check that memory is bounded: of both nodes in real time, and of `fjr sweep` with many runs."""
+"""Check that memory is bounded: of both nodes in real time, of `fjr sweep` with many runs, of reports of long runs.
+
+The long run is an hour of `arm7` in lock-step, which takes a quarter of an hour.
+"""
 
 from __future__ import annotations
 
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -32,6 +36,10 @@ vary:
   link_inertia: {{uniform: [0.8, 1.2]}}
   delay: {{uniform: [0.0, 1.0e-3]}}
 """
+HOUR, SHORT = 60.0, 9.0  # minutes of the long run; s of the short one
+REPORT_BOUND = 600.0  # MB
+VERDICT = "import sys; from pathlib import Path; from fjr_monitor.report.write import report_run as r; "
+VERDICT += "r('arm7', Path(sys.argv[1]), None, pages=False)"
 
 
 def of_nodes(minutes: float = MINUTES) -> list[Figure]:
@@ -93,3 +101,20 @@ def of_sweep(many: int = MANY) -> list[Figure]:
     few, most = peaks
     parts = {f"{FEW:,} runs [MB]": few, f"{many:,} runs [MB]": most}
     return [Figure("memory of fjr sweep, many runs over few", most / few, "", bound=2.0, aim=1.5, parts=parts)]
+
+
+def of_reports(minutes: float = HOUR) -> list[Figure]:
+    """Return the largest resident memory of verdict and report of a long run, with the time per recorded minute."""
+    with tempfile.TemporaryDirectory(prefix="fjr-bench-") as place:
+        runs = {seconds: Path(place, f"{seconds:g}") for seconds in (SHORT, 60 * minutes)}
+        for seconds, folder in runs.items():
+            used("fjr", "run", "arm7", "--lockstep", "--no-report", f"--duration={seconds}", f"--output={folder}")
+        figures = []
+        verdict = sys.executable, "-c", VERDICT
+        for name, command in {"the verdict of fjr run": verdict, "fjr report": ("fjr", "report")}.items():
+            few, most = (used(*command, str((folder / "arm7").resolve())) for folder in runs.values())
+            parts = {f"{SHORT:g} s [MB]": few.memory, "minutes": minutes}
+            parts["s per recorded minute"] = most.seconds / minutes
+            name = f"memory of {name}, an hour at 1 kHz"
+            figures.append(Figure(name, most.memory, "MB", bound=REPORT_BOUND, parts=parts))
+        return figures
