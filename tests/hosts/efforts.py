@@ -30,7 +30,7 @@ from fjr_core.numerics.jit import CLibrary
 from fjr_core.runtime.events import KINDS
 from fjr_core.runtime.library import Model, settings_struct, step_library
 from fjr_core.runtime.reference import ReferenceStruct
-from fjr_design.batch.program import BatchProgram
+from fjr_design.batch import scenario_loop
 from fjr_design.exports.project import export, write
 from fjr_msgs_py import names
 from fjr_msgs_py.node.participant import leave
@@ -67,19 +67,18 @@ def reference_replay(sequence: Sequence, repeats: bool = True) -> Replay:
 def study_efforts(sequence: Sequence) -> Efforts:
     """Return all efforts (k, n) that the step of the compiled loop of a study sends."""
     s = sequence.scenario
-    law, settings, measured, seen = s.sampled_law, s.settings, s.measurement, s.observer
-    program = BatchProgram(s.plant.robot, law, s.plant, settings, seen, measured)
-    ffi, lib, _ = program.library
-    model = Model(program.library, law, program.model_functions, seen, measured, sequence.simulated)
+    law, loop = s.sampled_law, scenario_loop(s, s.sampled_law, duration=2.0)
+    ffi, lib, _ = loop.library
+    model = Model(loop.library, law, loop.model_functions, s.observer, s.measurement, sequence.simulated)
     reference, gains = ReferenceStruct(ffi, s.reference), np.ascontiguousarray(law.gain_values, dtype=float)
-    written = settings_struct(program.library, settings, law)
+    written = settings_struct(loop.library, s.settings, law)
     controller = ffi.new("struct fjr_controller *")
 
     def restart() -> None:
         lib.fjr_init(controller, written, ffi.cast("double *", gains.ctypes.data), reference.pointer)
 
     restart()
-    changed = changes(program.library, sequence)
+    changed = changes(loop.library, sequence)
     return _Host(ffi, lib, model.pointer, controller, restart, changed).replay(sequence).efforts
 
 

@@ -21,7 +21,7 @@ from fjr_core.runtime.library import c_text
 from fjr_core.runtime.measurement_model import Measurement
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
-from fjr_design.batch import ClosedLoop, Draws, Outcomes, draws, program
+from fjr_design.batch import ClosedLoop, Draws, Outcomes, closed_loop, draws
 from fjr_design.batch.closed_loop import FIELDS as OUTCOMES
 from fuzzing import refused
 
@@ -109,7 +109,7 @@ def normals(seed: int, sample: int, n: int) -> np.ndarray[Any, Any]:
 
 
 def test_noise_is_the_philox_generator_of_numpy() -> None:
-    ffi, lib, _ = program.batch_library(1, 0)
+    ffi, lib, _ = closed_loop.batch_library(1, 0)
     for seed, sample, n in ((0, 0, 1), (3, 17, 7), (2**64 - 1, 2**33, 2)):
         z = np.empty((n, 4))
         lib.fjr_noise(seed, sample, n, ffi.from_buffer("double[]", z))
@@ -220,7 +220,7 @@ REFUSED: list[tuple[type[fjr.FjrError], dict[str, Any], str]] = [
     ),
     (StateError, {"inner_steps": 0}, "inner_steps is 0; expected 1 or more"),
     (StateError, {"believed": ARMS[-1].robot}, "1, 2 and 1 joints; expected equal"),
-    (StateError, {"settings": program.plain_settings(2)}, "settings has 2 joints; expected 1"),
+    (StateError, {"settings": closed_loop.plain_settings(2)}, "settings has 2 joints; expected 1"),
     (StateError, {"measurement": Measurement(2)}, "measurement has 2 joints; expected 1"),
     (StateError, {"observer": fjr.VelocityObserver(ARMS[-1].robot, 150.0)}, "observer has 2 joints; expected 1"),
     (StateError, {"measurement": Measurement(1, "observer")}, "observer is None with a measurement without velocities"),
@@ -235,23 +235,23 @@ def test_invalid_draws_and_loops_are_refused_in_one_sentence(
 
 
 def test_fingerprint_covers_source_and_casadi(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = [paper_loop().program.fingerprint, paper_loop().program.fingerprint]
+    found = [paper_loop().fingerprint, paper_loop().fingerprint]
     for name in ("a.py", "a.c", "b.c"):
         (tmp_path / name).write_text(name)
         jit_cache.source_digest.cache_clear()
         digest = jit_cache.source_digest(tmp_path)
         monkeypatch.setattr(jit_cache, "source_digest", lambda *_, digest=digest: digest)
-        found.append(paper_loop().program.fingerprint)
+        found.append(paper_loop().fingerprint)
         monkeypatch.undo()
     monkeypatch.setattr(jit_cache.ca, "__version__", "another")
-    found.append(paper_loop().program.fingerprint)
+    found.append(paper_loop().fingerprint)
     assert found[0] == found[1]
     assert len(set(found)) == len(found) - 1
 
 
 def test_the_loop_in_c_compiles_without_warnings(tmp_path: Path) -> None:
-    folder = Path(program.__file__).parent
-    texts = [c_text(2, 3), "#define LANES 4", *((folder / name).read_text() for name in program.SOURCES)]
+    folder = Path(closed_loop.__file__).parent
+    texts = [c_text(2, 3), "#define LANES 4", *((folder / name).read_text() for name in closed_loop.SOURCES)]
     (tmp_path / "loop.c").write_text("\n".join(texts))
     command = ["cc", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-c", "loop.c"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)

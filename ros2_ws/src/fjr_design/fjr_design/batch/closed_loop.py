@@ -1,36 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run the sampled closed loop of one robot, law and reference many times with drawn parameters."""
+"""Run the sampled closed loop of one robot, law and reference many times with drawn parameters.
+
+The loop is compiled: loop.c around the control step of the node, which call law, observer and plant.
+"""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.law.interfaces import SampledLaw
+from fjr_core.files.importing import source_digest
+from fjr_core.law.interfaces import SampledLaw, in_python, raise_failure, static_part
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import Reference
-from fjr_core.numerics import checks
+from fjr_core.numerics import checks, jit
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import CLibrary, c_library, program_digest
 from fjr_core.runtime.events import KINDS, STARTS_REFUSED, STOPS
+from fjr_core.runtime.library import HEADER, CFunction, Model, c_code, model_functions, settings_struct, sizes, text
 from fjr_core.runtime.measurement_model import Measurement
+from fjr_core.runtime.reference import ReferenceStruct
 from fjr_core.runtime.safety_settings import Settings
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.simulation.closed_loop import check_joints
 
 from . import parametric_robot
 from .draws import PARAMETERS, Draws
-from .program import BatchProgram
 
 if TYPE_CHECKING:
     from fjr_core.config.scenario import Scenario
 
 LAST = 1.0  # s; averaging time of Outcomes.final
+LANES = 4
+"""Number of interleaved runs."""
+SOURCES = ("loop.h", "noise.c", "loop.c")
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,14 +170,66 @@ class ClosedLoop:
         if self.measurement is not None and self.measurement.observed and self.observer is None:
             raise StateError("observer is None with a measurement without velocities; expected an observer")
 
+    @property
+    def in_python(self) -> bool:
+        """Return whether law or plant are evaluated in Python."""
+        return in_python(self.law) or self._plant_in_python
+
+    @property
+    def _plant_in_python(self) -> bool:
+        return self.plant is not None and self.plant.in_python
+
+    @cached_property
+    def library(self) -> CLibrary:
+        """Return loop and control step in C; raises CompilerError."""
+        return batch_library(self.robot.n, len(self.law.memory))
+
+    @cached_property
+    def model_functions(self) -> Mapping[str, ca.Function]:
+        """Return law, gravity and observer by their names in struct fjr_model, as machine code if possible."""
+        return model_functions(self.law, self.observer, compile=True)
+
+    @cached_property
+    def plant_functions(self) -> Mapping[str, ca.Function]:
+        """Return the functions of the plants, as machine code unless the plant is in Python."""
+        functions = self._plant_expressions
+        if self._plant_in_python:
+            return functions
+        return dict(zip(functions, jit.compiled_together("simulated_plant", functions.values()), strict=True))
+
+    @cached_property
+    def _plant_expressions(self) -> dict[str, ca.Function]:
+        """Return the functions of the plants, named as the members of struct fjr_plant, not compiled."""
+        own = self.plant if self._plant_in_python else None
+        kinds = (parametric_robot.PLAIN, parametric_robot.WHOLE)
+        plain, whole = (parametric_robot.ParametricPlant(self.robot, kind, own).functions_as_c for kind in kinds)
+        return {**plain, **whole}
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Return a hash that differs for programs whose results may differ."""
+        functions = [self.law.step_function, *self._plant_expressions.values()]
+        parts = [program_digest(), *(function.serialize() for function in functions)]
+        owners = (getattr(part, "own", None) for part in (static_part(self.law), self.plant))
+        parts += [source_digest(type(own)) for own in owners if own is not None]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    def build(self) -> None:
+        """Compile everything that a run needs; raises CompilerError without a C compiler."""
+        _ = self.library, self.model_functions, self.plant_functions
+
     def with_law(self, law: SampledLaw, observer: VelocityObserver | None = None) -> ClosedLoop:
         """Return the loop with another law of the same form, whose gains differ; nothing is compiled again.
 
         The law has the same class, robot model, options and number of gains as that of this loop. observer: replaces
         that of this loop, with another bandwidth. Raises StateError.
         """
+        mine, others = _form(self.law), _form(law)
+        if mine != others:
+            raise StateError(f"the law is {others}; expected {mine}, with other gains")
         other = replace(self, law=law, observer=observer or self.observer)
-        other.__dict__["program"] = self.program.with_law(law, other.observer)
+        for name in ("library", "model_functions", "plant_functions"):
+            other.__dict__[name] = getattr(self, name)
         return other
 
     def run(self, draws: Draws) -> Outcomes:
@@ -179,26 +245,71 @@ class ClosedLoop:
         return outcomes, Recorded(np.asarray(t), *np.split(trace, [4 * n, 5 * n], axis=2))
 
     def _run(self, draws: Draws, trace: Array | None) -> Array:
-        rows = np.empty((draws.runs, row_width(self.robot.n)))
-        values: dict[str, Any] = {**self._constants, **self._drawn(draws), "rows": rows, "trace": trace}
-        values["ring"] = int(values["segments"][:, :, 0].max(initial=0)) + 1
-        self.program.run(self.reference, values)
+        """Return the rows of the draws and fill `trace`, if any; raise the error of an evaluation in Python."""
+        ffi, rows = self.library.ffi, np.empty((draws.runs, row_width(self.robot.n)))
+        values = {**self._values(draws), "rows": rows, "trace": trace}
+        given = self.library, self.law, self.model_functions, self.observer, self.measurement
+        model = Model(*given, simulated=True, sharing=list(self.plant_functions.values()))
+        followed = ReferenceStruct(ffi, self.reference)
+        plants = {name: CFunction(ffi, function) for name, function in self.plant_functions.items()}
+        settings = settings_struct(self.library, self.settings or plain_settings(self.robot.n), self.law)
+        batch = ffi.new("struct fjr_batch *", {"settings": settings, "reference": followed.pointer})
+        for name, function in plants.items():
+            kind, _, what = name.partition("_")
+            setattr(getattr(batch, kind), what, function.pointer)
+        _fill(ffi, batch, values)
+        self._simulate(batch, draws.runs, model, followed, settings, plants, values)
+        followed.raise_failure()
+        raise_failure(self.law)
+        if self.plant is not None:
+            self.plant.raise_failure()
         return rows
 
-    def _drawn(self, draws: Draws) -> dict[str, Any]:
+    def _simulate(self, batch: Any, runs: int, model: Model, *owners: Any) -> None:
+        """Run the batch in another thread, so that Ctrl-C ends it here and is not raised in a callback.
+
+        owners: of the memory that the batch points to; the thread keeps them until it ends, after Ctrl-C too.
+        """
+        ffi, lib, _ = self.library
+        rings = ffi.new("double[]", LANES * batch.ring * self.robot.n)
+
+        def simulate(*_: Any) -> None:
+            lib.fjr_run_batch(model.pointer, batch, 0, runs, rings)
+
+        pool = ThreadPoolExecutor(1)
+        try:
+            pool.submit(simulate, *owners).result()
+        except BaseException:
+            batch.cancelled = 1
+            raise
+        finally:
+            pool.shutdown(wait=False)
+
+    def _values(self, draws: Draws) -> dict[str, Any]:
+        """Return numbers and arrays of struct fjr_batch: of all runs, and of each."""
         n = self.robot.n
         parts = {name: draws.columns(name, n) for name in parametric_robot.NAMES}
-        parametric_robot.refuse(self.robot, self.plant is not None and self.plant.in_python, parts)
+        parametric_robot.refuse(self.robot, self._plant_in_python, parts)
         full = np.hstack([parts[name] != PARAMETERS[name].nominal for name in parametric_robot.FULL]).any(axis=1)
         sensing = [draws.columns(name, n) for name in ("position_noise", "velocity_noise", "resolution")]
         segments, dt = _segments(draws.columns("delay", n)[:, 0], self.sample_period, self.inner_steps)
         return {
+            "samples": self._samples,
+            "first": self._first,
+            "last_second": max(0, self._samples - round(LAST / self.sample_period)),
+            "period": self.sample_period,
+            "lost": self.lost,
+            "band": self.band,
+            "gains": np.ascontiguousarray(self.law.gain_values, dtype=float),
+            "position": np.array(self.x0)[: 2 * n],
+            "velocity": np.hstack(self.robot.velocities(self.x0)),
             "parameters": (parameters := parametric_robot.vector(parts)),
             "width": parameters.shape[1],
             "sensing": np.ascontiguousarray(np.hstack(sensing)),
             "limit": draws.columns("effort_limit", n),
             "is_full": np.asarray(full, dtype=np.uint8),
             "segments": segments,
+            "ring": int(segments[:, :, 0].max(initial=0)) + 1,
             "dt": dt,
             "seeds": np.asarray(draws.seed, dtype=np.uint64),
         }
@@ -212,26 +323,16 @@ class ClosedLoop:
         """Return the first sample whose error counts."""
         return int(np.ceil(self.settle_after / self.sample_period - 1e-9))
 
-    @cached_property
-    def _constants(self) -> dict[str, Any]:
-        """Return the values common to all runs."""
-        positions, velocities = np.split(np.asarray(self.x0), 2)[0], np.hstack(self.robot.velocities(self.x0))
-        return {
-            "samples": self._samples,
-            "first": self._first,
-            "last_second": max(0, self._samples - round(LAST / self.sample_period)),
-            "period": self.sample_period,
-            "lost": self.lost,
-            "band": self.band,
-            "gains": np.ascontiguousarray(self.law.gain_values, dtype=float),
-            "position": np.ascontiguousarray(positions),
-            "velocity": velocities,
-        }
 
-    @cached_property
-    def program(self) -> BatchProgram:
-        """The functions of the loop, compiled by the first run or by its `build`."""
-        return BatchProgram(self.robot, self.law, self.plant, self.settings, self.observer, self.measurement)
+@cache
+def batch_library(n: int, memory: int) -> CLibrary:
+    """Return the compiled loop for n joints and a law with `memory` numbers as its controller state.
+
+    Raises CompilerError without a C compiler.
+    """
+    header, *code = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in SOURCES)
+    values = {**sizes(n, memory), "LANES": LANES}
+    return c_library("simulation_loop", text(HEADER) + header, "\n".join([c_code(), *code]), values)
 
 
 def scenario_loop(scenario: Scenario, law: SampledLaw, duration: float, **options: Any) -> ClosedLoop:
@@ -262,3 +363,24 @@ def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np
     steps = np.ceil(lengths / (period / inner_steps) - 1e-9).astype(np.int64)
     ages = np.stack([whole + 1, whole], axis=1).astype(np.int64)
     return np.ascontiguousarray(np.stack([ages, steps], axis=2)), lengths / np.maximum(steps, 1)
+
+
+def _form(law: SampledLaw) -> str:
+    """Return what laws share that differ in the values of their gains only: classes, sizes, prediction."""
+    sizes = f"{len(law.gain_values)} gains and a controller state of {len(law.memory)}"
+    return f"a {type(static_part(law)).__name__} with {sizes}, evaluated {law.lead:g} s ahead"
+
+
+def plain_settings(n: int) -> Settings:
+    """Return settings without limits, checks, ramp and transitions for n joints, at any sample period."""
+    return Settings(tuple(f"joint{i + 1}" for i in range(n)), state_timeout=1e9, wiring_check=False)
+
+
+def _fill(ffi: Any, struct: Any, values: Mapping[str, Any]) -> None:
+    """Write numbers and contiguous arrays, which must outlive the structure, to its fields; None: no array."""
+    types = dict(ffi.typeof(struct).item.fields)
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value = ffi.cast(types[name].type, value.ctypes.data)
+        if value is not None:
+            setattr(struct, name, value)

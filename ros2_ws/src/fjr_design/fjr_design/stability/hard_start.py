@@ -23,7 +23,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.simulation.closed_loop import simulate
 from fjr_core.stability.linearization import closed_form
 from fjr_design.batch import Draws, scenario_loop
-from fjr_design.batch.program import plain_settings
+from fjr_design.batch.closed_loop import plain_settings
 
 LASTING = 1.0  # s; simulated motion from the start, after the ramp of start.ramp_time
 FAR = 1e6  # rad; error of a loop that diverges

@@ -230,5 +230,5 @@ def run_part(text: str, begin: int, end: int) -> Columns:
 
 def _built(text: str) -> Sweep:
     sweep = from_text(text)
-    sweep.loop.program.build()
+    sweep.loop.build()
     return sweep

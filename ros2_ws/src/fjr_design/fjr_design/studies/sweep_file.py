@@ -122,7 +122,7 @@ class Options:
         """Return the workers of a sweep: a cluster, or threads of this process, for which its loop is compiled."""
         if self.scheduler is not None:
             return cluster(self.scheduler)
-        sweep.loop.program.build()
+        sweep.loop.build()
         return threads(self.cores)
 
 

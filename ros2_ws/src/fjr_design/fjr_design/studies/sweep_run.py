@@ -61,9 +61,9 @@ def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
     """Run or resume a sweep, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
     plan = planned(name, options)
     check_and_warn(plan)
-    if plan.loop.program.in_python:
+    if plan.loop.in_python:
         tell(IN_PYTHON)
-    with open_store(options.output / plan.name, plan.text, plan.loop.program.fingerprint) as store:
+    with open_store(options.output / plan.name, plan.text, plan.loop.fingerprint) as store:
         with options.workers(plan) as workers:
             carry_out(plan, store, workers, stop)
         summary = summarised(plan, store.column)

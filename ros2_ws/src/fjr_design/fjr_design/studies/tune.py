@@ -266,7 +266,7 @@ def run_candidate(text: str, point: Point, begin: int, end: int) -> Columns:
 
 def _built(text: str) -> TuningStudy:
     study = study_of(text)
-    study.sweep.loop.program.build()
+    study.sweep.loop.build()
     _ = study.coordinates
     return study
 

@@ -144,7 +144,7 @@ def tune(
             return found[0]
 
         study = with_better_start(study, run)
-        with open_store(folder, study.text, study.sweep.loop.program.fingerprint) as store:
+        with open_store(folder, study.text, study.sweep.loop.fingerprint) as store:
             total = study.searched + 2 * study.fresh
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
