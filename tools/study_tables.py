@@ -25,8 +25,7 @@ from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.numerics.checks import Array
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_design.batch import ClosedLoop, Draws, scenario_loop
-from fjr_design.studies.sweep import Sweep, figures
-from fjr_design.studies.sweep_file import Options, planned
+from fjr_design.studies.sweep import Sweep, figures, planned
 from fjr_design.studies.trial import Trial, directions, motion_demand
 from fjr_design.tuning.equal_bandwidth import baseline_target, tune
 from fjr_monitor.report.picture import COLOURS, write_picture
@@ -124,7 +123,7 @@ DRAWN = 200  # plants
 
 def noise(tuned: Path) -> None:
     """Write the noise that arm7 tolerates with six sets of gains; tuned: scenario of `fjr tune arm7_tune`."""
-    study = planned("arm7_tune", Options(1, None, Path(), {}, {}))
+    study = planned("arm7_tune")
     robot, given = study.scenario.robot, study.scenario.gains
     softer = replace(given, Pi_m=robot.K)
     gains = {

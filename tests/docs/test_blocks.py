@@ -19,7 +19,7 @@ from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
 from docs.shell import exit_codes, only_fjr, script, syntax_error
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
-from fjr_design.studies import suite, sweep_file
+from fjr_design.studies import suite, sweep
 from fjr_identification.record_map import read_map
 from system.executables import fjr_here, is_alive, python_here
 from time_limits import HANG
@@ -140,7 +140,7 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
         assert all(ros_yaml.values_for(node, values) for node in values)
         return said
     file = folder / block.marks["file"]
-    if reader is None and not sweep_file.is_one(values):
+    if reader is None and not sweep.is_one(values):
         before = ros_yaml.parse(file.read_text(encoding="utf-8")) if file.exists() else {}
         file.write_text(ros_yaml.dump(merged(before, values)), encoding="utf-8")
         assert [one for one in load_scenario(file).warnings if IN_PYTHON not in one] == [], str(block)
@@ -151,7 +151,7 @@ def do_yaml(block: Block, folder: Path, said: str) -> str:
 
 
 READERS: dict[str | None, Callable[[Path], object]] = {
-    None: lambda file: sweep_file.read(ros_yaml.parse(file.read_text(encoding="utf-8")))["vary"],
+    None: lambda file: sweep.read(ros_yaml.parse(file.read_text(encoding="utf-8")))["vary"],
     "compare": lambda file: suite.load(file).robots,
     "identify": lambda file: read_map(file, MAPPED),
 }

@@ -17,8 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from fjr_design.studies.study import ClusterError, cluster, open_store
-from fjr_design.studies.sweep import run_part
-from fjr_design.studies.sweep_file import Options, planned
+from fjr_design.studies.sweep import planned, run_part
 from fjr_design.studies.sweep_run import carry_out, jobs_of
 from system.browser import Browser
 from system.executables import Start, documented_keys, fjr_here, wait_for
@@ -78,7 +77,7 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
                 killed.extend(sorted(client.run(os.getpid).values())[:1])
             os.kill(killed[0], signal.SIGKILL)
 
-    plan = planned(name, Options(1, None, Path(), {}, {}))
+    plan = planned(name)
     with open_store(tmp_path / "cluster", plan.text, "program") as store, cluster(address) as workers:
         assert workers.count == 2
         store.run(workers, run_part, jobs_of(plan), threading.Event(), lose_one)

@@ -25,8 +25,7 @@ from fjr_core.files.text_file import is_sealed, write_text
 from fjr_design.studies import suite
 from fjr_design.studies.compare_run import read_kept
 from fjr_design.studies.study import Store, open_store
-from fjr_design.studies.sweep import Sweep
-from fjr_design.studies.sweep_file import Options, planned, usual
+from fjr_design.studies.sweep import Sweep, planned, usual
 from fjr_monitor.recording.bag import Bag, BagError, read_bag
 from fjr_monitor.recording.files import Topic
 from fjr_monitor.recording.message_types import definition, type_hash
@@ -266,7 +265,7 @@ duration: 0.1
 def read_sweep(folder: Path, text: str) -> str:
     path = folder / "sweep.yaml"
     path.write_text(text)
-    return answer(lambda: planned(str(path), Options(1, None, folder, {}, {})))
+    return answer(lambda: planned(str(path)))
 
 
 @fuzzed(30)

@@ -19,7 +19,7 @@ from scipy import stats
 from fjr_core import ParameterError
 from fjr_core.errors import MissingPackageError
 from fjr_design.batch import draws
-from fjr_design.studies import sensitivity, study, sweep, sweep_file, sweep_run
+from fjr_design.studies import sensitivity, study, sweep, sweep_run
 from fjr_design.studies.study import StoreError, Workers, threads
 from fjr_design.studies.sweep import Columns, Sweep, from_text
 from fjr_design.studies.sweep_run import carry_out, jobs_of
@@ -256,7 +256,7 @@ def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
 
 WIDE = draws.read("stiffness", {"uniform": [0.5, 1.5]})
 MAKE: dict[str, Callable[[Any], object]] = {
-    "file": sweep_file.read,
+    "file": sweep.read,
     "study": lambda changes: sweep_of(**changes),
     "scenario": lambda values: Sweep("test", with_values(values), 45, {"stiffness": WIDE}),
 }

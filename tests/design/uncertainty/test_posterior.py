@@ -12,7 +12,7 @@ import pytest
 
 from fjr_core import ParameterError
 from fjr_design.batch import draws
-from fjr_design.studies import sweep_file
+from fjr_design.studies import sweep
 from fjr_design.studies.compared_law import uncertainties
 from fjr_design.studies.sweep import Sweep, from_text
 from fjr_design.uncertainty.posterior import (
@@ -116,10 +116,10 @@ def test_a_sweep_file_names_the_posterior(tmp_path: Path) -> None:
     (tmp_path / "identification.json").write_text(json.dumps(identification().as_dict()), encoding="utf-8")
     (tmp_path / "joint.yaml").write_text(SCENARIO)
     document = {"scenario": "joint.yaml", "posterior": "identification.json"}
-    found, _ = sweep_file.described(tmp_path / "mine.yaml", document, sweep_file.Options(1, None, tmp_path, {}, {}))
+    found, _ = sweep.described(tmp_path / "mine.yaml", document, {}, {})
     assert found.posterior == identification().as_dict()
     with pytest.raises(ParameterError, match="expected 'posterior', or 'vary'"):
-        sweep_file.read({"scenario": "paper_k31"})
+        sweep.read({"scenario": "paper_k31"})
 
 
 @pytest.mark.parametrize(

@@ -206,7 +206,7 @@ def sweep(scenario: str | None, **given: Any) -> Any:
     """
     run = implementation("fjr_design.studies.sweep_run")
     with stoppable() as stop:
-        return run.sweep(scenario, run.Options.given(**given), stop)
+        return run.sweep(scenario, stop=stop, **given)
 
 
 @command()
@@ -224,16 +224,15 @@ def sweep(scenario: str | None, **given: Any) -> Any:
 @_drawn_plants_options(cores="all")
 @output_option("Folder in which NAME_LAW/ is written.", "runs/tuned")
 @set_option
-def tune(scenario: str | None, law: str | None, **given: Any) -> Any:
+def tune(scenario: str | None, **given: Any) -> Any:
     """Choose gains for stated model errors.
 
     SCENARIO is the name of an installed sweep or scenario, or a YAML file of either. The gains minimise a cost over
     drawn plants and are validated on fresh ones (docs/gains.md).
     """
-    size = {name: value for name in ("draws", "candidates", "fresh") if (value := given.pop(name)) is not None}
     run = implementation("fjr_design.studies.tune_run")
     with stoppable() as stop:
-        return run.tune(scenario, run.Options.given(**given), law, size, stop)
+        return run.tune(scenario, stop=stop, **given)
 
 
 @command()

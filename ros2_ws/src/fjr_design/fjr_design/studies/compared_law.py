@@ -24,8 +24,7 @@ from fjr_msgs_py.console.output import finite
 
 from ..batch.draws import FIXED, Distribution, varied
 from ..tuning.equal_bandwidth import baseline_target, tune
-from .sweep import Sweep
-from .sweep_file import mapping, number, whole
+from .sweep import Sweep, mapping, number, whole
 from .trial import MotionDemand, fields_of, imperfection
 from .tune import (
     FEW,

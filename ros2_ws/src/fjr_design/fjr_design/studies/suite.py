@@ -18,8 +18,7 @@ from fjr_core.robust.law import Robust
 from fjr_msgs_py.scenarios import library
 
 from .compared_law import uncertainties
-from .sweep import refuse_what_is_left_out
-from .sweep_file import check_keys, is_finite
+from .sweep import check_keys, is_finite, refuse_what_is_left_out
 from .trial import TRACKS, directions, imperfection
 
 REQUIRED = ("laws", "robots")

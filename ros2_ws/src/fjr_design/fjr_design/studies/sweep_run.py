@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,9 +27,8 @@ from fjr_msgs_py.console.output import Result, finite, json_text, number, percen
 
 from ..batch.draws import FIXED, LOG_UNIFORM, unit_of
 from .sensitivity import Effect, ReadColumn, Summary, summarised
-from .study import Store, Workers, divided, open_store
-from .sweep import OUTCOMES, Sweep, run_part
-from .sweep_file import Options, planned
+from .study import Store, Workers, cluster, divided, open_store, threads
+from .sweep import OUTCOMES, Sweep, planned, run_part
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,14 +57,25 @@ ERROR = "RMS error, worst joint [rad]"
 WIDTH = 42  # characters of a line over a plot
 
 
-def sweep(name: str | None, options: Options, stop: threading.Event) -> Result:
-    """Run or resume a sweep, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted."""
-    plan = planned(name, options)
+def sweep(
+    name: str | None,
+    assignments: Sequence[str],
+    cores: int,
+    scheduler: str | None,
+    output: Path,
+    stop: threading.Event,
+    **numbers: float | None,
+) -> Result:
+    """Run or resume a sweep, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted.
+
+    scheduler: address of a Dask cluster instead of cores. output: folder of the sweep's folder. numbers: see `planned`.
+    """
+    plan = planned(name, assignments, **numbers)
     check_and_warn(plan)
     if plan.loop.in_python:
         tell(IN_PYTHON)
-    with open_store(options.output / plan.name, plan.text, plan.loop.fingerprint) as store:
-        with options.workers(plan) as workers:
+    with open_store(output / plan.name, plan.text, plan.loop.fingerprint) as store:
+        with workers_of(plan, cores, scheduler) as workers:
             carry_out(plan, store, workers, stop)
         summary = summarised(plan, store.column)
         write_text(store.folder / "summary.json", json_text(asdict(summary), indent=1) + "\n")
@@ -80,6 +91,14 @@ def check_and_warn(plan: Sweep) -> None:
     plan.refuse_stiff_friction()
     if plan.identified is not None and plan.identified.left_out:
         tell(f"identified, but not drawn: {', '.join(plan.identified.left_out)}")
+
+
+def workers_of(plan: Sweep, cores: int, scheduler: str | None) -> AbstractContextManager[Workers]:
+    """Return the workers of a sweep: a cluster, or threads of this process, for which its loop is compiled."""
+    if scheduler is not None:
+        return cluster(scheduler)
+    plan.loop.build()
+    return threads(cores)
 
 
 def jobs_of(plan: Sweep) -> dict[str, tuple[str, int, int]]:

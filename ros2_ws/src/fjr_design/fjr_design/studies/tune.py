@@ -28,8 +28,7 @@ from fjr_core.stability.linearization import spectral_radius
 
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
 from .study import Columns, once
-from .sweep import FIGURES, SUCCESS, Figures, Sweep, figures, from_text
-from .sweep_file import check_keys, number, whole
+from .sweep import FIGURES, SUCCESS, Figures, Sweep, check_keys, figures, from_text, number, whole
 
 INFEASIBLE = 1e6
 """Cost of points that violate a constraint, at least; the cost of others is far below."""
@@ -237,13 +236,11 @@ class TuningStudy:
         return json.dumps({**json.loads(self.sweep.text), **goal, **numbers}, indent=1)
 
 
-def with_better_start(
-    study: TuningStudy, run: Callable[[TuningStudy, Point, int, int], Figures] = TuningStudy.run
-) -> TuningStudy:
-    """Return the study with the start that costs less on the draws of the search; run: runs a part of a point."""
+def with_better_start(study: TuningStudy) -> TuningStudy:
+    """Return the study with the start that costs less on the draws of the search."""
 
     def cost(one: TuningStudy) -> float:
-        return one.score(one.origin, run(one, one.origin, *one.search_runs)).cost
+        return one.score(one.origin, one.run(one.origin, *one.search_runs)).cost
 
     if study.sweep.scenario.certified_law is not None:
         with suppress(FjrError):  # the rule may have no gains for this robot; another error comes again in the search

@@ -11,7 +11,7 @@ import hashlib
 import json
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,16 +25,14 @@ from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, write_picture
-from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
-from . import sweep_file
+from . import sweep
 from .coordinates import RULE, SCENARIO
 from .study import Store, Workers, divided, open_store
-from .sweep import OUTCOMES
-from .sweep_file import Options, described, file_of
-from .sweep_run import PROGRESS, check_and_warn
+from .sweep import OUTCOMES, described, file_of
+from .sweep_run import PROGRESS, check_and_warn, workers_of
 from .tune import (
     GOAL,
     OF_SCENARIO,
@@ -71,7 +69,7 @@ STARTS = {SCENARIO: "the scenario", RULE: "the rule of equal bandwidth"}
 
 def law_of(document: object) -> str | None:
     """Return the law that the section of a parsed file names, None if none; raise ParameterError."""
-    section = document.get(sweep_file.TUNE) if isinstance(document, Mapping) else None
+    section = document.get(sweep.TUNE) if isinstance(document, Mapping) else None
     name = section.get(LAW) if isinstance(section, Mapping) else None
     if name is not None and not isinstance(name, str):
         raise ParameterError(f"'tune' has {name!r} as '{LAW}'; expected the name of a law")
@@ -115,35 +113,38 @@ class Tuned:
     scores: tuple[Score, Score]
 
 
-def planned(name: str | None, options: Options, law: str | None, numbers: Mapping[str, int]) -> TuningStudy:
-    """Return the study to run; law, numbers: replace those of the file. Raise FjrError."""
+def planned(name: str | None, law: str | None, assignments: Sequence[str], numbers: Mapping[str, Any]) -> TuningStudy:
+    """Return the study to run; law, numbers: replace those of the file unless they are None. Raise FjrError."""
     path = file_of(name)
     document = ros_yaml.read(path, "sweep")
-    chosen = law or law_of(document)
-    overrides = {**options.overrides, **({TYPE.name: chosen} if chosen else {})}
-    sweep, section = described(path, document, replace(options, overrides=overrides))
-    goal, size = given_goal({**section, **numbers}, (LAW, *GOAL, *SIZE))
+    chosen, given = law or law_of(document), {key: value for key, value in numbers.items() if value is not None}
+    overrides = {**library.parse_assignments(assignments), **({TYPE.name: chosen} if chosen else {})}
+    size = {key: given.pop(key) for key in SIZE if key in given}
+    sweep, section = described(path, document, overrides, given)
+    goal, size = given_goal({**section, **size}, (LAW, *GOAL, *SIZE))
     return TuningStudy(sweep, Goal(**goal), **size)
 
 
 def tune(
-    name: str | None, options: Options, law: str | None, numbers: Mapping[str, int], stop: threading.Event
+    name: str | None,
+    law: str | None,
+    assignments: Sequence[str],
+    cores: int,
+    scheduler: str | None,
+    output: Path,
+    stop: threading.Event,
+    **numbers: float | None,
 ) -> Result:
-    """Search and validate; write result, scenario and picture; return a summary. Raise FjrError, Interrupted."""
-    study = planned(name, options, law, numbers)
+    """Search and validate; write result, scenario and picture; return a summary. Raise FjrError, Interrupted.
+
+    Arguments as of sweep_run.sweep; numbers: also SIZE.
+    """
+    study = planned(name, law, assignments, numbers)
     check_and_warn(study.sweep)
     _ = study.coordinates
-    folder = options.output / f"{study.sweep.name}_{study.sweep.scenario.controller_values[TYPE.name]}"
-    with options.workers(study.sweep) as workers:
-
-        def run(one: TuningStudy, point: Point, begin: int, end: int) -> Figures:
-            found: list[Figures] = []
-            job = (one.text, point, begin, end)
-            if not workers.run(run_candidate, {"start": job}, lambda _, figures: found.append(figures), stop):
-                raise Interrupted(None)
-            return found[0]
-
-        study = with_better_start(study, run)
+    folder = output / f"{study.sweep.name}_{study.sweep.scenario.controller_values[TYPE.name]}"
+    with workers_of(study.sweep, cores, scheduler) as workers:
+        study = with_better_start(study)
         with open_store(folder, study.text, study.sweep.loop.fingerprint) as store:
             total = study.searched + 2 * study.fresh
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
