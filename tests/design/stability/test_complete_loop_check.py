@@ -22,7 +22,8 @@ from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.linearization import linearize, refuse_fast_integral, spectral_radius
 from fjr_design.stability.sampled_loop import contracting
-from fjr_design.studies.compared_law import tuned_law
+from fjr_design.studies.compare_run import tuned_law
+from fjr_design.studies.suite import LawChoice
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
 DRAWS = 60
@@ -239,5 +240,6 @@ def test_integral_gain_above_its_bound_is_refused_with_the_bound() -> None:
 
 def test_comparison_reports_a_law_that_is_unstable_as_sampled() -> None:
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/paper_k3p1.yaml")
-    sentences = [tuned_law("v_dpbc", {"integral_gain": rate}, scenario).tuning for rate in (5.0, 40.0)]
+    choices = [LawChoice("v-dPBC", "v_dpbc", {"integral_gain": rate}) for rate in (5.0, 40.0)]
+    sentences = [tuned_law(choice, scenario).tuning for choice in choices]
     assert ["unstable as sampled" in sentence for sentence in sentences] == [False, True]

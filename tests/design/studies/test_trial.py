@@ -14,7 +14,8 @@ from fjr_core.config.scenario import parse_scenario
 from fjr_core.errors import CompareError
 from fjr_design.batch import ClosedLoop
 from fjr_design.stability.sampled_loop import check
-from fjr_design.studies.compared_law import tuned_law
+from fjr_design.studies.compare_run import tuned_law
+from fjr_design.studies.suite import LawChoice
 from fjr_design.studies.trial import (
     IMPERFECTIONS,
     PARTS,
@@ -180,11 +181,11 @@ def test_strongest_friction_is_integrated_without_chatter(inertia: float) -> Non
 
 def test_a_comparison_has_the_law_with_its_options_beside_the_tuned_laws() -> None:
     scenario = parse_scenario("s", "/**: {ros__parameters: {joints: [joint1], limits: {effort: [20.0]}}}")
-    known, own = (tuned_law(name, {}, scenario) for name in ("v_dpbc", "own_code:Wrapped"))
+    known, own = (tuned_law(LawChoice(name, name), scenario) for name in ("v_dpbc", "own_code:Wrapped"))
     assert own.tuning == "not tuned: bandwidth 1 times the target, peak effort 1 times the target"
     np.testing.assert_array_equal(own.effort_limit, known.effort_limit)
-    chosen = tuned_law("own_code:Pd", {}, scenario, options={"K_p": 5.0})
+    chosen = tuned_law(LawChoice("mine", "own_code:Pd", options={"K_p": 5.0}), scenario)
     assert chosen.gains == {"K_p": 5.0}
     assert "bandwidth 0." in chosen.tuning
     with pytest.raises(fjr.FjrError, match=r"Pd takes .*unexpected keyword argument 'K'"):
-        tuned_law("own_code:Pd", {}, scenario, options={"K": 5.0})
+        tuned_law(LawChoice("mine", "own_code:Pd", options={"K": 5.0}), scenario)

@@ -18,8 +18,9 @@ from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import GainsError, ParameterError, StateError
 from fjr_core.extensions.law_registry import LAWS
 from fjr_design.batch import ClosedLoop, Draws, draws
-from fjr_design.studies.compared_law import tuned_law
+from fjr_design.studies.compare_run import tuned_law
 from fjr_design.studies.coordinates import RULE, SCENARIO, coordinates
+from fjr_design.studies.suite import LawChoice
 from fjr_design.studies.sweep import Sweep
 from fjr_design.studies.tune import (
     FIGURES,
@@ -106,7 +107,7 @@ def test_a_parameter_file_of_any_point_gives_its_gains(law: str) -> None:
 
 def test_v_dpbc_may_start_at_the_rule_of_equal_bandwidth() -> None:
     given = scenario(robust={"residual_gain": [20.0]})
-    ruled = tuned_law("v_dpbc", {}, given, retune=True).gains
+    ruled = tuned_law(LawChoice("tuned", "v_dpbc", retune=True), given).gains
     space = coordinates(given, RULE)
     assert list(space.values(np.zeros(7))["gains.K_md"]) == pytest.approx(np.ravel(ruled["K_md"]))
     assert list(space.values(np.zeros(7))["robust.residual_gain"]) == [20.0]

@@ -13,7 +13,7 @@ import pytest
 from fjr_core import ParameterError
 from fjr_design.batch import draws
 from fjr_design.studies import sweep
-from fjr_design.studies.compared_law import uncertainties
+from fjr_design.studies.suite import uncertainties
 from fjr_design.studies.sweep import Sweep, from_text
 from fjr_design.uncertainty.posterior import (
     IDENTIFIED,

@@ -20,6 +20,7 @@ from fjr_monitor.report.html import Line, Plot
 from fjr_msgs_py.console.output import number, plural
 
 from .compare_results import Row, extent, law_without_additions, rows
+from .trial import imperfection
 
 HOW = (
     "Drag over a plot to enlarge it, double-click to go back. All results are in comparison.json in the same folder. "
@@ -42,14 +43,6 @@ TUNED = (
     "limit. Gains are in comparison.json."
 )
 DASHED = "Green: best, or within 5 % of the best. A dash: does not track the nominal robot."
-AXIS_LABELS = {
-    "stiffness": ("Wrong stiffness", "true stiffness / the model's", 1.0),
-    "inertia": ("Wrong masses", "true inertia and weight / the model's", 1.0),
-    "delay": ("Command delay", "delay [ms]", 1e3),
-    "noise": ("Noise", "noise of the positions [mrad]", 1e3),
-    "friction": ("Unknown friction", "friction [% of the motion's torque]", 100.0),
-    "load": ("Unknown load", "load [% of the motion's torque]", 100.0),
-}
 TRACES = (("error", "The largest |q_l − q_ld|", "error [rad]"), ("effort", "The largest |u|", "|u| [N m]"))
 Style = tuple[str, str, tuple[int, ...]]
 HEADROOM = 3.0  # times the largest error that counts as tracking; larger errors are not drawn
@@ -202,18 +195,18 @@ def _winners(margins: Sequence[Row], names: Sequence[str]) -> str:
 
 def _curve(place: str, laws: Sequence[tuple[Style, Any]], axis: str, tracks: float, caption: str) -> Plot:
     """Plot the RMS error over the level of an imperfection; a line ends at the first level that fails."""
-    heading, label, unit = AXIS_LABELS[axis]
+    one = imperfection(axis)
     levels = np.unique(np.concatenate([law["curves"][axis]["levels"] for _, law in laws]))
     levels = levels[levels > 0]
     lines = [_line(style, _sampled(law["curves"][axis], levels, tracks)) for style, law in laws]
     limit = Line("", np.full(len(levels), 100 * tracks), "grey", 1.2, (3, 3))
     return Plot(
         f"{place}-{axis}",
-        heading,
+        one.heading,
         caption,
-        levels * unit,
+        levels * one.scale,
         [limit, *lines],
-        x_label=label,
+        x_label=one.axis,
         y_label="RMS error [%]",
         x_log=True,
         y_log=True,

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fjr compare`: give every law its gains, run it on every robot along all references and imperfections, report all.
 
-A job is one law on one robot; its result is kept in a file named by a hash of everything that determines it, so that a
-suite with another law or robot computes only what is new.
+Gains follow from the rule of equal bandwidth (docs/compare.md), or every law with its robust options is tuned to the
+same uncertainties, with the same cost, draws and number of candidates. A job is one law on one robot; its result is
+kept in a file named by a hash of everything that determines it, so that a suite with another law or robot computes only
+what is new.
 """
 
 from __future__ import annotations
@@ -10,9 +12,9 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -21,24 +23,32 @@ import numpy as np
 
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import CompareError, FjrError, prefixed
+from fjr_core.extensions.python_code import own_law
 from fjr_core.files.importing import is_named, load, source_digest
 from fjr_core.files.text_file import is_sealed, read_json, write_text
-from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.interfaces import SampledLaw, StaticLaw
+from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import program_digest
+from fjr_core.robust.law import Robust, sampled_law
+from fjr_core.stability.linearization import spectral_radius
 from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import Result, aligned, finite, progress_bar, tell
 from fjr_msgs_py.scenarios import library
 
 from ..batch import scenario_loop
+from ..batch.draws import FIXED, Distribution, varied
+from ..tuning.equal_bandwidth import baseline_target, tune
 from . import compare_page, compare_results, suite
-from .compared_law import TunedLaw, law_for, tuned_law
 from .study import Processes, processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
-from .trial import MotionDemand, Trial, directions, motion_demand
+from .sweep import Sweep
+from .trial import MotionDemand, Trial, directions, fields_of, motion_demand
+from .tune import FEW, GOAL, SIZE, Figures, Goal, Point, Range, TuningStudy, quantile, search, with_better_start
 
 TRACE_POINTS = 600
 SETTLED = 0.02  # of the motion; band of the settling time
 TUNING = 0.8  # of the work on a law that is tuned to uncertainties
+OUTER = 0.95  # quantile that is reported beside the median
 PAGE, RESULTS, CACHE = "comparison.html", "comparison.json", "kept"
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total} pairs of law and robot, {elapsed} < {remaining}"
 QUIET = 2.0  # s until the progress bar appears
@@ -156,7 +166,10 @@ def work(job: Job) -> Values:
     on_progress = partial(report_share, job.key)
     scenarios = {label: parse_scenario(job.robot, text) for label, text in job.scenarios}
     first = next(iter(scenarios.values()))
-    demands = {label: _demand(job, label, scenario) for label, scenario in scenarios.items()}
+    demands = {}
+    for label, scenario in scenarios.items():
+        with prefixed(f"'{label}' of {job.robot}: ", CompareError, CompareError):
+            demands[label] = motion_demand(scenario.robot, scenario.reference)
     chosen = _chosen(job, first, next(iter(demands.values())), on_progress)
     cells: Values = {}
     found: Values = {}
@@ -188,27 +201,107 @@ def work(job: Job) -> Values:
     }
 
 
-def _demand(job: Job, label: str, scenario: Scenario) -> MotionDemand:
-    """Compute the demand of a reference; raise CompareError for one that stands still."""
-    with prefixed(f"'{label}' of {job.robot}: ", CompareError, CompareError):
-        return motion_demand(scenario.robot, scenario.reference)
-
-
 def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callable[[float], None]) -> TunedLaw:
     """Return the law with its gains, by the rule or tuned to uncertainties."""
     law = job.law
     with prefixed(f"{law.label} on {job.robot}: ", FjrError, CompareError):
-        ruled = tuned_law(law.law, law.robust, first, law.retune, law.options)
-        if job.suite.tune is None:
-            return ruled
-        n = first.robot.n
-        values: Values = {"law.type": law.law, "robust.hold": first.sample_period}
-        values |= {
-            f"robust.{name}": [value] * n if name.endswith("gain") else value for name, value in law.robust.items()
-        }
-        text = library.text_with(job.robot, job.scenarios[0][1], values)
-        given = job.suite.tune, demand, ruled.effort_limit, job.suite.tracks
-        return law_for(text, *given, lambda share: on_progress(TUNING * share))
+        ruled = tuned_law(law, first)
+        return ruled if job.suite.tune is None else _tuned(job, first, demand, ruled.effort_limit, on_progress)
+
+
+@dataclass(frozen=True, eq=False)
+class TunedLaw:
+    """Law with its gains, or the parameters that were chosen, as plain values, and a summary of its tuning.
+
+    effort_limit (n,) [N m]: saturation of every command, the same for all laws. figures: on fresh draws, of a law that
+    was tuned to uncertainties.
+    """
+
+    law: SampledLaw
+    effort_limit: Array
+    gains: Mapping[str, Any]
+    tuning: str
+    figures: Mapping[str, float | None] = field(default_factory=dict)
+
+
+def tuned_law(chosen: LawChoice, scenario: Scenario) -> TunedLaw:
+    """Return a law by the rule of equal bandwidth for robot, start and reference of the scenario.
+
+    v-dPBC keeps the gains of the scenario unless it is retuned; robust options hold for the sample period. A law of the
+    user is not tuned: it has its options. Raises FjrError if there is no such law or no stable gains.
+    """
+    target = baseline_target(scenario)
+    hold = Robust(**chosen.robust, hold=scenario.sample_period)
+    if is_named(chosen.law):
+        own = own_law(chosen.law, scenario.robot, chosen.options, compile=False)
+        law = sampled_law(own, hold)
+        bandwidth, peak = target.bandwidth_of(own) / target.bandwidth, target.peak_of(own) / target.peak
+        tuning = f"not tuned: bandwidth {bandwidth:.2g} times the target, peak effort {peak:.2g} times the target"
+        return TunedLaw(law, target.effort_limit, dict(chosen.options), tuning + _unstable(law, scenario))
+    found = tune(chosen.law, target, retune=chosen.retune)
+    law = sampled_law(found.law, hold)
+    gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}
+    return TunedLaw(law, target.effort_limit, gains, found.sentence + _unstable(law, scenario))
+
+
+def _unstable(law: SampledLaw, scenario: Scenario) -> str:
+    """Return a note if the sampled loop is unstable along the reference, else an empty string."""
+    where, period = scenario.configurations(FEW), scenario.sample_period
+    radius = spectral_radius(law, period, scenario.loop_delay, where, scenario.plant).max()
+    return "" if radius < 1 else f"; unstable as sampled: spectral radius {radius:.4g}"
+
+
+def _plain(value: Any, *names: str) -> dict[str, Any]:
+    """Return the finite arrays and numbers of a dataclass as plain values."""
+    arrays = {name: np.asarray(getattr(value, name)) for name in names or [field.name for field in fields(value)]}
+    return {name: array.tolist() for name, array in arrays.items() if np.isfinite(array).all()}
+
+
+def _tuned(
+    job: Job, first: Scenario, demand: MotionDemand, effort_limit: Array, on_progress: Callable[[float], None]
+) -> TunedLaw:
+    """Return the law tuned to the uncertainties of the suite; arguments as of `_study`. Raises FjrError."""
+    study, done = with_better_start(_study(job, first, demand, effort_limit)), 0
+
+    def figures(points: Sequence[Point], runs: Range) -> list[Figures]:
+        nonlocal done
+        done += len(points) * (runs[1] - runs[0])
+        found = [study.run(point, *runs) for point in points]
+        on_progress(TUNING * min(1.0, done / study.searched))
+        return found
+
+    found = search(study, figures)
+    fresh = study.run(found.chosen, *study.fresh_runs)
+    score = study.score(found.chosen, fresh)
+    summary = {"rms": score.figures["rms"], "rms_outer": quantile(fresh["rms"], OUTER), "success": score.success}
+    summary |= {name: score.figures[name] for name in ("effort_noise", "effort_peak")}
+    tracking = f"on {study.fresh} fresh draws {100 * score.success:.3g} % track"
+    return TunedLaw(
+        study.coordinates.controller(found.chosen)[0],
+        effort_limit,
+        study.coordinates.values(found.chosen),
+        f"best of {len(found.candidates)} candidates; {tracking}",
+        finite(summary),
+    )
+
+
+def _study(job: Job, first: Scenario, demand: MotionDemand, effort_limit: Array) -> TuningStudy:
+    """Return the study of a law: draws vary as the suite states, its imperfections have fixed levels.
+
+    A run succeeds if its error is at most the fraction `tracks` of the motion, at every joint.
+    """
+    law, wanted = job.law, job.suite.tune or {}
+    values: Values = {"law.type": law.law, "robust.hold": first.sample_period}
+    for name, value in law.robust.items():
+        values[f"robust.{name}"] = [value] * first.robot.n if name.endswith("gain") else value
+    text = library.text_with(job.robot, job.scenarios[0][1], values)
+    levels = fields_of(wanted["imperfections"], demand, first.sample_period / first.inner_steps)
+    fixed = {"effort_limit": effort_limit, **levels}
+    vary = varied(wanted["vary"])
+    vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
+    numbers, size = ({name: wanted[name] for name in names} for names in (suite.NUMBERS, SIZE))
+    sweep = Sweep("tuned", text, 1, vary, success={"rms": job.suite.tracks * demand.motion}, **numbers)
+    return TuningStudy(sweep, Goal(**{name: wanted[name] for name in GOAL}), **size)
 
 
 def _margins(job: Job, trial: Trial) -> Values:

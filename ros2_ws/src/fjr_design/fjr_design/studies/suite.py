@@ -5,28 +5,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from fjr_core.config import ros_yaml
-from fjr_core.errors import CompareError, FjrError, prefixed
+from fjr_core.errors import CompareError, FjrError, ParameterError, prefixed
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.files.importing import is_named
 from fjr_core.files.importing import load as load_class
 from fjr_core.robust.law import Robust
 from fjr_msgs_py.scenarios import library
 
-from .compared_law import uncertainties
-from .sweep import check_keys, is_finite, refuse_what_is_left_out
+from ..batch.draws import varied
+from .sweep import check_keys, is_finite, mapping, number, refuse_what_is_left_out, whole
 from .trial import TRACKS, directions, imperfection
+from .tune import GOAL, HERE, Goal, given_goal
 
 REQUIRED = ("laws", "robots")
 KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks", "tune")
 NOMINAL = "nominal"
 CHANGED = ("reference.", "initial_")  # parameters that references of one robot may change
 GAINS = ("scenario", TUNED := "tuned")  # of v-dPBC
-LONGEST_JOIN = 10.0  # s
+LONGEST, LONGEST_JOIN = 600.0, 10.0  # s
+NUMBERS: Mapping[str, Callable[[str, object, str], float]] = {"seed": whole, "duration": number, "settle_after": number}
+"""Numbers of a sweep that the section `tune` may have."""
 ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 
 
@@ -90,7 +93,7 @@ def read(name: str, document: Any) -> Suite:
     for key in REQUIRED:
         if not given.get(key):
             raise CompareError(f"has no '{key}'; expected at least one")
-    duration = _number("duration", given.get("duration", 6.0), lambda value: 0 < value <= 600)
+    duration = _number("duration", given.get("duration", 6.0), lambda value: 0 < value <= LONGEST)
     robots = _mapping("'robots'", given["robots"])
     margins = given.get("margins", [])
     if not isinstance(margins, list):
@@ -204,3 +207,40 @@ def _number(what: str, given: Any, is_valid: Callable[[float], bool]) -> float:
     if not is_finite(given) or not is_valid(given):
         raise CompareError(f"{what} is {given!r}; expected a number in range")
     return float(given)
+
+
+USUAL: Mapping[str, Any] = {
+    "vary": {},
+    "imperfections": {},
+    **asdict(Goal()),
+    "candidates": 150,
+    "draws": 24,
+    "fresh": 400,
+    "seed": 1,
+    "duration": 3.0,
+    "settle_after": 1.0,
+}
+"""What every law is tuned for where the section `tune` of a comparison is silent: deviations as in a sweep file, levels
+of imperfections, the fields of Goal, numbers of TuningStudy and of Sweep."""
+
+
+def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section `tune` of a comparison, checked and complete; raises ParameterError, CompareError.
+
+    A deviation under its former name is reported and has its present one in the result, which worker processes read.
+    """
+    goal, size = given_goal(section, list(USUAL))
+    found = {**USUAL, **goal, **size}
+    found |= {key: mapping(key, section[key], HERE) for key in ("vary", "imperfections") if key in section}
+    found |= {key: read(key, section[key], HERE) for key, read in NUMBERS.items() if key in section}
+    levels = {name: number(name, level, HERE) for name, level in found["imperfections"].items()}
+    found["imperfections"] = {name: imperfection(name).checked(level) for name, level in levels.items()}
+    with prefixed("'tune': "):
+        Goal(**{name: found[name] for name in GOAL})
+        if not 0 <= found["settle_after"] < found["duration"] <= LONGEST:
+            raise ParameterError(
+                f"'settle_after' is {found['settle_after']} and 'duration' {found['duration']} s; expected 0 to less "
+                f"than the duration, and this at most {LONGEST:g} s"
+            )
+        found["vary"] = {name: one.as_yaml for name, one in varied(found["vary"]).items()}
+    return found

@@ -78,7 +78,7 @@ class Imperfection:
     """Imperfection of one kind; `fields_of` says what it changes.
 
     nominal: 1 for factors, else 0. lowest, highest: ends of the search for margins. first: smallest tested level above
-    a nominal 0.
+    a nominal 0. heading, axis: of its plot.
     """
 
     name: str
@@ -87,11 +87,18 @@ class Imperfection:
     lowest: float
     first: float
     highest: float
+    heading: str
+    axis: str
 
     @property
     def is_factor(self) -> bool:
         """Return whether levels are factors, which may be above or below 1."""
         return self.nominal == 1.0
+
+    @property
+    def scale(self) -> float:
+        """Return the factor from a level to its number on the axis: of factors 1, else to ms, mrad or %."""
+        return 1.0 if self.is_factor else 1e3 if self.unit in ("s", "rad") else 100.0
 
     def checked(self, level: float) -> float:
         """Return a valid level; raises CompareError for any other."""
@@ -102,18 +109,18 @@ class Imperfection:
         return float(level)
 
 
-TORQUE = "of the torque of the motion"
+TORQUE, SHARE = "of the torque of the motion", "[% of the motion's torque]"
 IMPERFECTIONS = {
     each.name: each
     for each in (
-        Imperfection("stiffness", "times", 1.0, 1 / 30, 1.0, 30.0),
-        Imperfection("inertia", "times", 1.0, 1 / 10, 1.0, 10.0),
-        Imperfection("delay", "s", 0.0, 0.0, 5e-5, 0.1),
-        Imperfection("noise", "rad", 0.0, 0.0, 1e-6, 1.0),
-        Imperfection("friction", TORQUE, 0.0, 0.0, 0.01, 10.0),
-        Imperfection("load", TORQUE, 0.0, 0.0, 0.01, 10.0),
-        Imperfection("hardening", TORQUE, 0.0, 0.0, 0.01, 10.0),
-        Imperfection("hysteresis", TORQUE, 0.0, 0.0, 0.01, 10.0),
+        Imperfection("stiffness", "times", 1.0, 1 / 30, 1.0, 30.0, "Wrong stiffness", "true stiffness / the model's"),
+        Imperfection("inertia", "times", 1.0, 0.1, 1.0, 10.0, "Wrong masses", "true inertia and weight / the model's"),
+        Imperfection("delay", "s", 0.0, 0.0, 5e-5, 0.1, "Command delay", "delay [ms]"),
+        Imperfection("noise", "rad", 0.0, 0.0, 1e-6, 1.0, "Noise", "noise of the positions [mrad]"),
+        Imperfection("friction", TORQUE, 0.0, 0.0, 0.01, 10.0, "Unknown friction", f"friction {SHARE}"),
+        Imperfection("load", TORQUE, 0.0, 0.0, 0.01, 10.0, "Unknown load", f"load {SHARE}"),
+        Imperfection("hardening", TORQUE, 0.0, 0.0, 0.01, 10.0, "Hardening springs", f"hardening {SHARE}"),
+        Imperfection("hysteresis", TORQUE, 0.0, 0.0, 0.01, 10.0, "Springs with hysteresis", f"hysteresis {SHARE}"),
     )
 }
 """Imperfections by their names in a comparison."""
