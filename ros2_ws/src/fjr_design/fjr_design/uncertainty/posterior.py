@@ -21,7 +21,7 @@ from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import read_text
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_core.simulation.deviations import DEVIATIONS, POINT
+from fjr_core.simulation.deviations import DEVIATIONS, POINT, Deviation
 from fjr_design.batch import draws
 from fjr_design.batch.draws import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
 
@@ -141,16 +141,25 @@ class Identification:
             drawn[:, index] = natural(z[:, k], coordinate)
         return drawn
 
-    def drawn_values(self, table: Array, name: str) -> dict[str, Array]:
-        """Return the draws (k,) of a parameter by joint, from the draws (k, p) of all estimates."""
-        return {each.joint: table[:, i] for i, each in enumerate(self.estimates) if each.name == name}
+    @cached_property
+    def places(self) -> dict[int, tuple[Deviation, int]]:
+        """Return deviation and entry in it of the estimates that can be drawn, by their indices."""
+        found = {}
+        for index, each in enumerate(self.estimates):
+            name, _, axis = each.name.rpartition("_")
+            if each.name in NAMES:
+                found[index] = NAMES[each.name], self.joints.index(each.joint) if each.joint else 0
+            elif name in NAMES and NAMES[name].per == POINT:
+                found[index] = NAMES[name], "xyz".index(axis)
+        return found
 
-    def by_joint(self, table: Array, name: str, otherwise: Array) -> Array:
-        """Return the draws (k, n) of a parameter of the joints; otherwise (n,): of joints that have none."""
-        values = self.drawn_values(table, name)
-        return np.stack(
-            [values.get(joint, np.full(len(table), otherwise[j])) for j, joint in enumerate(self.joints)], 1
-        )
+    def values(self, table: Array, one: Deviation, nominal: Array) -> Array:
+        """Return the values (k, .) of a deviation from the draws (k, p) of all estimates, nominal ones without any."""
+        found = np.tile(nominal, (len(table), 1))
+        for index, (of, entry) in self.places.items():
+            if of is one:
+                found[:, entry] = table[:, index]
+        return found
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for identification.json; from_dict makes the same identification, without fits."""
@@ -203,14 +212,12 @@ def drawn_plants(found: Identification, robot: Robot, count: int, seed: int, wid
 
     widened: factor on the posterior's standard deviations. The delay of a plant is the largest of its joints.
     """
-    table = replace(found, covariance=widened**2 * found.covariance).draws(count, seed)
-    columns = {}
+    table, columns = replace(found, covariance=widened**2 * found.covariance).draws(count, seed), {}
     for name, matrix in MATRICES.items():
         own = np.diag(getattr(robot, matrix))
-        columns[NAMES[name].name] = np.maximum(
-            found.by_joint(table, name, own), LEAST * own if matrix in ("K", "M_m") else 0.0
-        )
-    return DrawnPlants(**columns, delay=found.by_joint(table, DELAY, np.zeros(robot.n)).max(axis=1))
+        least = LEAST * own if matrix in ("K", "M_m") else 0.0
+        columns[NAMES[name].name] = np.maximum(found.values(table, NAMES[name], own), least)
+    return DrawnPlants(**columns, delay=found.values(table, NAMES[DELAY], np.zeros(robot.n)).max(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,74 +234,57 @@ class PosteriorDraws:
 
     def __post_init__(self) -> None:
         self.found.check_joints(self.joints)
-        for name in MATRICES:
-            for joint, _ in self._marginals(name):
-                if not self._own(name)[self.joints.index(joint)] > 0:
-                    raise ParameterError(
-                        f"{name} of {joint} is 0 in the scenario; expected the identified robot file, "
-                        "whose values the posterior scales"
-                    )
+        _ = self.columns
 
     @cached_property
     def columns(self) -> dict[str, list[DrawnColumn]]:
         """Return the drawn numbers by deviation, with their marginals; those that are not identified are not drawn."""
-        found: dict[str, list[DrawnColumn]] = {}
-        for name, one in NAMES.items():
-            if one.per == POINT:
-                axes = [(axis, i, self._marginals(f"{name}_{axis}")) for i, axis in enumerate("xyz")]
-                each = [(f".{axis}", i, own[0][1]) for axis, i, own in axes if own]
-            elif name == DELAY:
-                latest = max(self._marginals(name), key=lambda own: own[1].numbers[0], default=None)
-                each = [("", 0, latest[1])] if latest else []
-            else:
-                own = self._marginals(name)
-                each = [(f".{joint}" if joint else "", self.joints.index(joint) if joint else 0, m) for joint, m in own]
-            found[one.name] = [DrawnColumn(f"{one.name}{label}", one.name, i, marginal) for label, i, marginal in each]
+        found: dict[str, list[DrawnColumn]] = {one.name: [] for one in NAMES.values()}
+        for k, index in enumerate(self.found.free):
+            if index not in self.found.places:
+                continue
+            each, (one, entry) = self.found.estimates[index], self.found.places[index]
+            scale = float(self._nominal(one)[entry]) if one.matrix else 1.0
+            if not scale > 0:
+                raise ParameterError(
+                    f"{each.name} of {each.joint} is 0 in the scenario; expected the identified robot file, "
+                    "whose values the posterior scales"
+                )
+            mean, deviation = float(self.found.mean[k]), max(float(np.sqrt(self.found.covariance[k, k])), 1e-12)
+            marginal = Distribution(NORMAL, (mean / scale, deviation / scale))
+            if self.found.coordinates[k] == LOG:
+                marginal = Distribution(LOG_NORMAL, (float(np.exp(mean)) / scale, deviation))
+            suffix = "xyz"[entry] if one.per == POINT else "" if each.name == DELAY else each.joint
+            column = f"{one.name}.{suffix}" if suffix else one.name
+            found[one.name].append(DrawnColumn(column, one.name, 0 if each.name == DELAY else entry, marginal))
+        delay = NAMES[DELAY].name  # of the joints, the largest
+        found[delay] = sorted(found[delay], key=lambda column: -column.distribution.numbers[0])[:1]
         return {name: columns for name, columns in found.items() if columns}
 
     @property
     def left_out(self) -> tuple[str, ...]:
         """Return the names of identified parameters that a study does not draw, such as the offset."""
-        used = {*NAMES, *(f"{name}_{axis}" for name in NAMES for axis in "xyz")}
-        names = dict.fromkeys(self.found.estimates[i].name for i in self.found.free)
-        return tuple(name for name in names if name not in used)
+        left = (i for i in self.found.free if i not in self.found.places)
+        return tuple(dict.fromkeys(self.found.estimates[i].name for i in left))
 
     def drawn(self, seed: int, first: int, count: int) -> dict[str, Array]:
         """Return the draws by deviation, (count, n), (count,) or (count, 3), of the runs from `first` on."""
-        table = self.found.draws(count, seed, first, draws.WIDEST)
-        return {one.name: self._drawn(name, table) for name, one in NAMES.items() if one.name in self.columns}
-
-    def _drawn(self, name: str, table: Array) -> Array:
-        n = len(self.joints)
-        if NAMES[name].per == POINT:
-            return np.stack([self.found.drawn_values(table, f"{name}_{axis}")[""] for axis in "xyz"], 1)
-        if name == DELAY:
-            return np.maximum(self.found.by_joint(table, name, np.zeros(n)).max(axis=1), 0.0)
-        if NAMES[name].per_run:
-            return self.found.drawn_values(table, name)[""]
-        own = self._own(name)
-        nominal = own if name in MATRICES else np.zeros(n)
-        return self.found.by_joint(table, name, nominal) / np.where(own > 0, own, 1.0)
+        table, found = self.found.draws(count, seed, first, draws.WIDEST), {}
+        for name in self.columns:
+            one = DEVIATIONS[name]
+            nominal = self._nominal(one)
+            values = self.found.values(table, one, nominal) / np.where(nominal > 0, nominal, 1.0)
+            late = one.parameter == DELAY
+            found[name] = np.maximum(values.max(axis=1), 0.0) if late else values[:, 0] if one.per_run else values
+        return found
 
     def range(self, name: str) -> tuple[float, float]:
         """Return the smallest and the largest value of a deviation, by its marginals."""
         ranges = [column.distribution.range for column in self.columns[name]]
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
-    def _marginals(self, name: str) -> list[tuple[str, Distribution]]:
-        """Return joint ("" for the arm) and marginal distribution of each identified parameter of this name."""
-        found = []
-        for k, index in enumerate(self.found.free):
-            each, mean = self.found.estimates[index], float(self.found.mean[k])
-            if each.name == name:
-                own = self._own(name)[self.joints.index(each.joint) if each.joint else 0]
-                scale = float(own) if own > 0 else 1.0
-                deviation = max(float(np.sqrt(self.found.covariance[k, k])), 1e-12)
-                is_log = self.found.coordinates[k] == LOG
-                numbers = (float(np.exp(mean)) / scale, deviation) if is_log else (mean / scale, deviation / scale)
-                found.append((each.joint, Distribution(LOG_NORMAL if is_log else NORMAL, numbers)))
-        return found
-
-    def _own(self, name: str) -> Array:
-        """Return the values (n,) of the robot that the draws are divided by; 1 for levels."""
-        return np.diag(getattr(self.robot, MATRICES[name])) if name in MATRICES else np.ones(len(self.joints))
+    def _nominal(self, one: Deviation) -> Array:
+        """Return the values of the robot that factors multiply, and zeros for levels of joints or of x, y, z."""
+        if one.matrix:
+            return np.diag(getattr(self.robot, one.matrix))
+        return np.zeros(3 if one.per == POINT else len(self.joints))
