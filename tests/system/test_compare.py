@@ -127,7 +127,7 @@ class Failing:
     def __init__(self, kill: bool) -> None:
         self.kill = kill
 
-    def __call__(self, job: compare_run.Job) -> compare_run.Values:
+    def __call__(self, job: compare_run.Job, _number: int) -> compare_run.Values:
         if job.law.law == "v_dpbc":
             time.sleep(HANG)
         if self.kill:

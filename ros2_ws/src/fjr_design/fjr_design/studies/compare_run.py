@@ -39,7 +39,7 @@ from ..batch import scenario_loop
 from ..batch.draws import FIXED, Distribution, varied
 from ..tuning.equal_bandwidth import baseline_target, tune
 from . import compare_page, compare_results, suite
-from .study import Processes, processes, report_share
+from .study import processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
 from .sweep import Sweep
 from .trial import MotionDemand, Trial, directions, fields_of, motion_demand
@@ -122,8 +122,7 @@ def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> l
         joints = {job.robot: parse_scenario(job.robot, job.scenarios[0][1]).robot.n for job in missing}
         missing.sort(key=lambda job: joints[job.robot], reverse=True)  # the longest first
         try:
-            with processes(min(cores, len(missing))) as workers:
-                results |= _compute(missing, len(jobs), kept, workers, stop)
+            results |= _compute(missing, len(jobs), kept, cores, stop)
         except BrokenExecutor:
             raise CompareError(
                 f"a worker process died (killed or out of memory). Finished results are in {kept}; "
@@ -132,22 +131,20 @@ def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> l
     return [result for job in jobs if (result := results[job.key]) is not None]
 
 
-def _compute(missing: list[Job], jobs: int, kept: Path, workers: Processes, stop: threading.Event) -> dict[str, Values]:
+def _compute(missing: list[Job], jobs: int, kept: Path, cores: int, stop: threading.Event) -> dict[str, Values]:
     results: dict[str, Values] = {}
-    shares = {job.key: 0.0 for job in missing}
     line = f"compare: {len(missing)} of {jobs} pairs of law and robot to run"
-    with progress_bar(line, PROGRESS, total=len(missing), desc="compare", delay=QUIET) as bar:
+    with (
+        progress_bar(line, PROGRESS, total=len(missing), desc="compare", delay=QUIET) as bar,
+        processes(min(cores, len(missing)), len(missing)) as (workers, done),
+    ):
 
         def keep(key: str, result: Values) -> None:
             write_text(kept / f"{key}.json", json.dumps(result, allow_nan=False), sealed=True)
             results[key] = result
 
-        def look() -> None:
-            shares.update(workers.shares())
-            shares.update(dict.fromkeys(results, 1.0))
-            bar.update(sum(shares.values()) - bar.n)
-
-        if not workers.run(work, {job.key: (job,) for job in missing}, keep, stop, look):
+        numbered = {job.key: (job, number) for number, job in enumerate(missing)}
+        if not workers.run(work, numbered, keep, stop, lambda: bar.update(sum(done) - bar.n)):
             raise Interrupted(kept if any(kept.glob("*.json")) else None)
     return results
 
@@ -161,9 +158,9 @@ def read_kept(kept: Path, key: str) -> Values | None:
         return None
 
 
-def work(job: Job) -> Values:
-    """Run a job, in a worker that reports its share; return reproducible results as plain values."""
-    on_progress = partial(report_share, job.key)
+def work(job: Job, number: int = 0) -> Values:
+    """Run a job, in a worker that reports its share by its number; return reproducible results as plain values."""
+    on_progress = partial(report_share, number)
     scenarios = {label: parse_scenario(job.robot, text) for label, text in job.scenarios}
     first = next(iter(scenarios.values()))
     demands = {}

@@ -294,53 +294,39 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
         client.close()
 
 
-_shares: Any = None
+_done: Any = None  # shares of the jobs, in a worker process
 
 
-def report_share(key: str, share: float) -> None:
-    """Report the finished share of a job, 0 to 1, from a worker process to `shares` of its parent."""
-    if _shares is not None:
-        _shares.put((key, share))
-
-
-@dataclass(frozen=True)
-class Processes(Workers):
-    """Worker processes with what they reported."""
-
-    queue: Any = None
-
-    def shares(self) -> dict[str, float]:
-        """Return the latest shares of jobs since the last call, by their keys."""
-        found = {}
-        while not self.queue.empty():
-            key, share = self.queue.get()
-            found[key] = share
-        return found
+def report_share(number: int, share: float) -> None:
+    """Report the finished share of a job, 0 to 1, by its number to the parent of this worker process."""
+    if _done is not None:
+        _done[number] = share
 
 
 @contextmanager
-def processes(count: int) -> Iterator[Processes]:
-    """Yield `count` processes of this machine; in the end they are terminated, whether or not their jobs are finished.
+def processes(count: int, jobs: int) -> Iterator[tuple[Workers, Sequence[float]]]:
+    """Yield `count` processes of this machine, and the shares that they report of their jobs.
 
-    They end with this process even if it is killed, and leave Ctrl-C to it.
+    In the end they are terminated, whether or not their jobs are finished. They end with this process even if it is
+    killed, and leave Ctrl-C to it.
     """
     context = multiprocessing.get_context("spawn")
-    queue = context.SimpleQueue()
-    pool = ProcessPoolExecutor(count, context, _begin, (queue,))
+    done: Any = context.RawArray("d", jobs)  # without a lock, which a killed worker could keep
+    pool = ProcessPoolExecutor(count, context, _begin, (done,))
     try:
         for _ in range(count + 1):  # starts all processes, then wakes the pool up, so that it watches all of them
             pool.submit(os.getpid)
-        yield Processes(pool, count, queue=queue)
+        yield Workers(pool, count), done
     finally:
         for worker in list((pool._processes or {}).values()):
             worker.terminate()
         pool.shutdown(cancel_futures=True)  # waits for the pool's thread, which may otherwise outlive its pipes
 
 
-def _begin(queue: Any) -> None:
+def _begin(done: Any) -> None:
     """Set up a worker: ignore Ctrl-C, which the parent handles; exit with the parent."""
-    global _shares
-    _shares = queue
+    global _done
+    _done = done
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end_with_parent() -> None:
