@@ -176,7 +176,7 @@ def work(job: Job, number: int = 0) -> Values:
         loop = scenario_loop(scenario, chosen.law, job.suite.duration, settle_after=job.suite.settle_after, band=band)
         trial = Trial(loop, demands[label], chosen.effort_limit, job.suite.tracks)
         each = trial.metrics(list(job.suite.imperfections.values()))
-        cells[label] = {name: asdict(cell) for name, cell in zip(job.suite.imperfections, each, strict=True)}
+        cells[label] = dict(zip(job.suite.imperfections, each, strict=True))
         found = found or {**_margins(job, trial), "trace": _trace(trial)}
         runs += len(each) + len(trial.evaluated)
         on_progress(max(done / len(scenarios), TUNING if job.suite.tune else 0.0))
@@ -307,7 +307,7 @@ def _margins(job: Job, trial: Trial) -> Values:
     curves = {}
     for name in job.suite.margins:
         levels, cells = trial.curve(name)
-        curves[name] = {"levels": levels.tolist(), "relative": [cell.relative for cell in cells]}
+        curves[name] = {"levels": levels.tolist(), "relative": [cell["relative"] for cell in cells]}
     return {"margins": {name: asdict(edge) for name, edge in edges.items()}, "curves": curves}
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +22,9 @@ from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.deviations import DEVIATIONS
 from fjr_core.simulation.imperfections import Imperfections, friction_rate
+from fjr_msgs_py.console.output import finite
 
-from ..batch import ClosedLoop, Draws, Outcomes
+from ..batch import ClosedLoop, Draws
 from ..batch.draws import PARAMETERS
 from .sweep import REACH, figures
 
@@ -241,27 +243,14 @@ def _scan(
     return found
 
 
-@dataclass(frozen=True)
-class RunMetrics:
-    """Metrics of one run over all joints; errors count after settle_after, see Outcomes.
+Metrics = dict[str, Any]
+"""Metrics of one run over all joints, by name; errors count after settle_after, see Outcomes.
 
-    rms [rad]: RMS over time and joints of q_l - q_ld; relative: rms divided by the RMS of the motion. peak [rad]: of
-    the worst joint. settling [s]. effort_rms [N m]: over time and joints; effort_peak [N m]: of any joint. power [W]:
-    mean of |u' dq_m|. steady [rad]: mean error of the worst joint over the last second. All are None for a run that is
-    not stable. stopped: the limit that stopped the controller, None if none did; such a run does not track.
-    """
-
-    stable: bool
-    tracks: bool
-    rms: float | None = None
-    relative: float | None = None
-    peak: float | None = None
-    settling: float | None = None
-    effort_rms: float | None = None
-    effort_peak: float | None = None
-    power: float | None = None
-    steady: float | None = None
-    stopped: str | None = None
+rms [rad]: RMS over time and joints of q_l - q_ld; relative: rms divided by the RMS of the motion. peak [rad]: of the
+worst joint. settling [s]. effort_rms [N m]: over time and joints; effort_peak [N m]: of any joint. power [W]: mean of
+|u' dq_m|. steady [rad]: mean error of the worst joint over the last second. All are None for a run that is not stable.
+stopped: the limit that stopped the controller, None if none did; such a run does not track.
+"""
 
 
 @dataclass
@@ -278,22 +267,30 @@ class Trial:
     effort_limit: ArrayLike = np.inf
     tracks: float = TRACKS
     seed: int = 0
-    evaluated: dict[tuple[str, float], RunMetrics] = field(default_factory=dict)
+    evaluated: dict[tuple[str, float], Metrics] = field(default_factory=dict)
 
-    def metrics(self, runs: Sequence[Mapping[str, float]]) -> list[RunMetrics]:
+    def metrics(self, runs: Sequence[Mapping[str, float]]) -> list[Metrics]:
         """Return the metrics of one run per item: levels by the names of IMPERFECTIONS, {} for the nominal plant."""
         outcomes = self.loop.run(self.draws(runs))
-        found = figures(outcomes, outcomes.stable)
+        of = figures(outcomes, outcomes.stable)
+        relative, running = of["rms"] / self.demand.motion, outcomes.stable & (outcomes.cause == "")
+        values = {"rms": of["rms"], "relative": relative, "peak": of["peak"], "settling": outcomes.settling}
+        values |= {name: of[name] for name in ("effort_rms", "effort_peak", "power")} | {"steady": of["final"]}
         return [
-            self._metrics(outcomes, i, {name: float(values[i]) for name, values in found.items()})
-            for i in range(len(runs))
+            {
+                "stable": stable,
+                "tracks": bool(running[i] and relative[i] <= self.tracks),
+                **{name: finite(value[i]) if stable else None for name, value in values.items()},
+                "stopped": str(outcomes.cause[i]) or None if stable else None,
+            }
+            for i, stable in enumerate(outcomes.stable.tolist())
         ]
 
     def margins(self, directions: Sequence[Direction]) -> dict[str, RobustnessMargin]:
         """Return the largest level of each imperfection up to which the loop tracks."""
         return margins(self._track, directions)
 
-    def curve(self, imperfection: str) -> tuple[Array, list[RunMetrics]]:
+    def curve(self, imperfection: str) -> tuple[Array, list[Metrics]]:
         """Return all evaluated levels of an imperfection in increasing order, with their metrics."""
         levels = sorted(level for name, level in self.evaluated if name == imperfection)
         return np.array(levels), [self.evaluated[imperfection, level] for level in levels]
@@ -313,18 +310,4 @@ class Trial:
         new = [key for key in dict.fromkeys(levels) if key not in self.evaluated]
         cells = self.metrics([{name: level} for name, level in new]) if new else []
         self.evaluated |= dict(zip(new, cells, strict=True))
-        return np.array([self.evaluated[key].tracks for key in levels])
-
-    def _metrics(self, outcomes: Outcomes, i: int, of: Mapping[str, float]) -> RunMetrics:
-        if not outcomes.stable[i]:
-            return RunMetrics(stable=False, tracks=False)
-        relative, stopped = of["rms"] / self.demand.motion, str(outcomes.cause[i]) or None
-        return RunMetrics(
-            stable=True,
-            tracks=relative <= self.tracks and not stopped,
-            relative=relative,
-            settling=float(outcomes.settling[i]) if np.isfinite(outcomes.settling[i]) else None,
-            steady=of["final"],
-            stopped=stopped,
-            **{name: of[name] for name in ("rms", "peak", "effort_rms", "effort_peak", "power")},
-        )
+        return np.array([self.evaluated[key]["tracks"] for key in levels])
