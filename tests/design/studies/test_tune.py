@@ -178,7 +178,7 @@ def test_candidates_run_the_plants_of_a_posterior() -> None:
 
 def test_search_selection_and_validation_share_no_run() -> None:
     given = study()
-    stages = [set(range(*runs)) for runs in (given.search_runs, given.selection_runs, given.fresh_runs)]
+    stages = [set(range(*runs)) for runs in given.stages]
     assert [len(stage) for stage in stages] == [8, 32, 16]
     assert len(set.union(*stages)) == 56
 
@@ -216,7 +216,7 @@ class Bowl:
     def __init__(self, bottom: Sequence[float], most: float = np.inf) -> None:
         self.bottom, self.most = np.array(bottom), most
         self.origin, self.candidates = (0.0,) * len(bottom), 400
-        self.search_runs, self.selection_runs = (0, 8), (8, 40)
+        self.stages = (0, 8), (8, 40), (40, 50)
         self.sweep = SimpleNamespace(seed=5)
 
     def score(self, z: Point, _: Figures) -> Score:
@@ -226,7 +226,7 @@ class Bowl:
 
 
 def found(bowl: Bowl) -> np.ndarray:
-    return np.array(search(bowl, lambda points, _: [{}] * len(points)).chosen)  # type: ignore[arg-type]
+    return np.array(search(bowl, lambda points, _: [{}] * len(points))[1])  # type: ignore[arg-type]
 
 
 def test_search_finds_the_minimum_of_a_bowl_and_leaves_the_global_generator_alone() -> None:

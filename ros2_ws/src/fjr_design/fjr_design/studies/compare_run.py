@@ -267,17 +267,17 @@ def _tuned(
         on_progress(TUNING * min(1.0, done / study.searched))
         return found
 
-    found = search(study, figures)
-    fresh = study.run(found.chosen, *study.fresh_runs)
-    score = study.score(found.chosen, fresh)
+    candidates, chosen = search(study, figures)
+    fresh = study.run(chosen, *study.stages[2])
+    score = study.score(chosen, fresh)
     summary = {"rms": score.figures["rms"], "rms_outer": quantile(fresh["rms"], OUTER), "success": score.success}
     summary |= {name: score.figures[name] for name in ("effort_noise", "effort_peak")}
     tracking = f"on {study.fresh} fresh draws {100 * score.success:.3g} % track"
     return TunedLaw(
-        study.coordinates.controller(found.chosen)[0],
+        study.coordinates.controller(chosen)[0],
         effort_limit,
-        study.coordinates.values(found.chosen),
-        f"best of {len(found.candidates)} candidates; {tracking}",
+        study.coordinates.values(chosen),
+        f"best of {len(candidates)} candidates; {tracking}",
         finite(summary),
     )
 

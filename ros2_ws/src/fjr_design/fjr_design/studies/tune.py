@@ -171,20 +171,10 @@ class TuningStudy:
         return (0.0,) * len(self.coordinates)
 
     @property
-    def search_runs(self) -> Range:
-        """Runs of the search, as (begin, end)."""
-        return 0, self.draws
-
-    @property
-    def selection_runs(self) -> Range:
-        """Runs of the selection of a candidate."""
-        return self.draws, (1 + SELECTION) * self.draws
-
-    @property
-    def fresh_runs(self) -> Range:
-        """Runs of the validation."""
-        begin = self.selection_runs[1]
-        return begin, begin + self.fresh
+    def stages(self) -> tuple[Range, Range, Range]:
+        """Runs of search, selection and validation, as (begin, end)."""
+        search, selection = self.draws, (1 + SELECTION) * self.draws
+        return (0, search), (search, selection), (selection, selection + self.fresh)
 
     @property
     def searched(self) -> int:
@@ -240,7 +230,7 @@ def with_better_start(study: TuningStudy) -> TuningStudy:
     """Return the study with the start that costs less on the draws of the search."""
 
     def cost(one: TuningStudy) -> float:
-        return one.score(one.origin, one.run(one.origin, *one.search_runs)).cost
+        return one.score(one.origin, one.run(one.origin, *one.stages[0])).cost
 
     if study.sweep.scenario.certified_law is not None:
         with suppress(FjrError):  # the rule may have no gains for this robot; another error comes again in the search
@@ -268,36 +258,31 @@ def _built(text: str) -> TuningStudy:
     return study
 
 
-@dataclass(frozen=True)
-class Found:
-    """Result of a search: the score of each candidate, the start first, and the point that is best in the selection."""
+def search(
+    study: TuningStudy, figures: Callable[[Sequence[Point], Range], list[Figures]]
+) -> tuple[dict[Point, Score], Point]:
+    """Return the score of each candidate, the start first, and the point that is best in the selection.
 
-    candidates: Mapping[Point, Score]
-    chosen: Point
-
-
-def search(study: TuningStudy, figures: Callable[[Sequence[Point], Range], list[Figures]]) -> Found:
-    """Search the gains of a study; the results depend only on the study. Raises ParameterError without `cma`.
-
-    figures: returns those of each of the points over a range of runs.
+    They depend only on the study. figures: returns those of each of the points over a range of runs. Raises
+    ParameterError without `cma`.
     """
 
     def evaluate(points: Sequence[Point], runs: Range) -> list[Score]:
         return [study.score(*each) for each in zip(points, figures(points, runs), strict=True)]
 
-    start = study.origin
-    kept = {start: evaluate([start], study.search_runs)[0]}
+    start, (first, second, _) = study.origin, study.stages
+    kept = {start: evaluate([start], first)[0]}
     strategy = _strategy(len(start), study.sweep.seed)
     while len(kept) < study.candidates and not strategy.stop():
         asked = strategy.ask()
         points = [tuple(float(each) for each in point) for point in asked]
-        scores = evaluate(points, study.search_runs)
+        scores = evaluate(points, first)
         strategy.tell(asked, [score.cost for score in scores])
         kept |= dict(zip(points, scores, strict=True))
     ranked = sorted((point for point in kept if point != start), key=lambda point: kept[point].cost)
     finalists = [start, *ranked[:FINALISTS]]
-    costs = [score.cost for score in evaluate(finalists, study.selection_runs)]
-    return Found(kept, finalists[int(np.argmin(costs))])
+    costs = [score.cost for score in evaluate(finalists, second)]
+    return kept, finalists[int(np.argmin(costs))]
 
 
 def _strategy(dimension: int, seed: int) -> Any:

@@ -38,7 +38,6 @@ from .tune import (
     OF_SCENARIO,
     SIZE,
     Figures,
-    Found,
     Goal,
     Point,
     Range,
@@ -104,10 +103,15 @@ def _key(point: Point, begin: int, end: int) -> str:
 
 @dataclass(frozen=True)
 class Tuned:
-    """Result of a search and its validation: the gains of the scenario and the chosen ones on fresh draws."""
+    """Result of a search and its validation.
+
+    candidates: by their points; point: the chosen one. scenario, chosen: figures on fresh draws of the gains of the
+    scenario and of the chosen ones, with their scores.
+    """
 
     study: TuningStudy
-    found: Found
+    candidates: Mapping[Point, Score]
+    point: Point
     scenario: Figures
     chosen: Figures
     scores: tuple[Score, Score]
@@ -150,16 +154,16 @@ def tune(
             line = f"{study.sweep.name}: {plural(study.candidates, 'candidate')} on {plural(workers.count, 'core')}"
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
                 figures = partial(kept_figures, study, store, workers, stop, bar.update)
-                found = search(study, figures)
-                scenario, chosen = figures([OF_SCENARIO, found.chosen], study.fresh_runs)
+                candidates, point = search(study, figures)
+                scenario, chosen = figures([OF_SCENARIO, point], study.stages[2])
             store.write_table(sorted(path.stem for path in store.folder.glob("parts/*.parquet")))
-    scores = study.score(OF_SCENARIO, scenario), study.score(found.chosen, chosen)
-    return _shown(Tuned(study, found, scenario, chosen, scores), folder)
+    scores = study.score(OF_SCENARIO, scenario), study.score(point, chosen)
+    return _shown(Tuned(study, candidates, point, scenario, chosen, scores), folder)
 
 
 def _shown(tuned: Tuned, folder: Path) -> Result:
     scenario = folder / f"{folder.name}.yaml"
-    values = tuned.study.coordinates.values(tuned.found.chosen)
+    values = tuned.study.coordinates.values(tuned.point)
     write_text(scenario, tuned.study.sweep.scenario_text)
     write_text(scenario, library.as_run(scenario, values)[0])
     picture = write_picture(folder / "overview.png", (12.0, 4.2), partial(_draw, tuned))
@@ -175,11 +179,11 @@ def _values(tuned: Tuned, values: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": tuned.study.sweep.name,
         "law": tuned.study.sweep.scenario.controller_values[TYPE.name],
-        "candidates": len(tuned.found.candidates),
+        "candidates": len(tuned.candidates),
         "fresh_runs": tuned.study.fresh,
         "start": tuned.study.start,
         "parameters": dict(values),
-        "factors": {axis.name: float(np.exp(z)) for axis, z in zip(axes, tuned.found.chosen, strict=True)},
+        "factors": {axis.name: float(np.exp(z)) for axis, z in zip(axes, tuned.point, strict=True)},
         "constraints_kept": chosen.feasible,
         "success": {"scenario": scenario.success, "tuned": chosen.success},
         "figures": {
@@ -197,7 +201,7 @@ def _table(tuned: Tuned) -> list[str]:
     study, (scenario, chosen) = tuned.study, tuned.scores
     law = study.sweep.scenario.controller_values[TYPE.name]
     lines = [
-        f"{study.sweep.name}, {law}: best of {len(tuned.found.candidates)} candidates, on {study.fresh:,} fresh draws",
+        f"{study.sweep.name}, {law}: best of {len(tuned.candidates)} candidates, on {study.fresh:,} fresh draws",
         f"  {'':32}{'scenario':>12}{'tuned':>12}{'ratio':>9}",
     ]
     for name, (words, unit) in SHOWN.items():
@@ -208,7 +212,7 @@ def _table(tuned: Tuned) -> list[str]:
             lines.append(f"  {what:32}{number(pair[0]):>12}{number(pair[1]):>12}{ratio:>9} {unit}")
     lines.append(f"  {'successful runs':32}{percent(scenario.success):>12}{percent(chosen.success):>12}")
     lines.append(f"  factors on the gains of {STARTS[study.start]}:")
-    axes = zip(study.coordinates.axes, tuned.found.chosen, strict=True)
+    axes = zip(study.coordinates.axes, tuned.point, strict=True)
     lines += [f"  {axis.name:32}{f'× {np.exp(z):.3g}':>24}" for axis, z in axes]
     if not chosen.feasible:
         lines.append(f"  constraints are violated on the fresh draws, by {chosen.violation:.2g}; see docs/gains.md")
@@ -221,14 +225,13 @@ def _draw(tuned: Tuned, figure: Figure) -> None:
     for ax, name in zip(axes, AXES, strict=False):
         _front(ax, tuned, name)
     _distribution(axes[2], tuned.scenario, tuned.chosen)
-    title = f"{tuned.study.sweep.name}: {len(tuned.found.candidates)} candidates, {tuned.study.fresh:,} fresh draws"
+    title = f"{tuned.study.sweep.name}: {len(tuned.candidates)} candidates, {tuned.study.fresh:,} fresh draws"
     figure.suptitle(title, fontsize=13, x=0.01, ha="left")
 
 
 def _front(ax: Axes, tuned: Tuned, name: str) -> None:
     """Draw all candidates on the draws of the search, those on the front joined, start and choice marked."""
-    found, quantile = tuned.found, tuned.study.goal.quantile
-    scores = list(found.candidates.values())
+    scores, quantile = list(tuned.candidates.values()), tuned.study.goal.quantile
     x, y = (np.array([score.figures[key] for score in scores]) for key in (name, "rms"))
     kept = np.array([score.feasible for score in scores])
     finite = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
@@ -236,7 +239,7 @@ def _front(ax: Axes, tuned: Tuned, name: str) -> None:
     ax.plot(x[finite & kept], 1e3 * y[finite & kept], ".", ms=4, color=COLOURS[5], label="keeps the constraints")
     best = pareto(x, y, finite & (kept if kept.any() else True))
     ax.plot(x[best], 1e3 * y[best], "-", drawstyle="steps-post", color=COLOURS[0], lw=1.5, label="Pareto front")
-    chosen = list(found.candidates).index(found.chosen)
+    chosen = list(tuned.candidates).index(tuned.point)
     for i, marker, label in ((0, "s", "start of the search"), (chosen, "*", "chosen")):
         if finite[i]:
             ax.plot(x[i], 1e3 * y[i], marker, ms=9, color=COLOURS[1] if marker == "*" else GREY, label=label)

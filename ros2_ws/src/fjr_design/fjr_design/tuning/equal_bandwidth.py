@@ -200,9 +200,7 @@ class _Family:
         for low, high in zip(equal, equal[1:], strict=False):
             if (low.peak - peak) * (high.peak - peak) < 0:
                 return self._of_peak(low, high)
-        return (
-            usual if usual in equal else min(equal, key=lambda each: abs(np.log(each.damping / kind.default_damping)))
-        )
+        return min(equal, key=lambda each: abs(np.log(each.damping / kind.default_damping)))
 
     def _of_bandwidth(self, damping: float) -> Tuning | None:
         """Return the law of this damping ratio with the target bandwidth, or near its largest; None if unstable."""
