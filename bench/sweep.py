@@ -141,7 +141,7 @@ def numbers(robot: Robot, draws: Draws, run: int) -> Iterator[float]:
         "link_damping": robot.D_l,
         "motor_damping": robot.D_m,
     }.items():
-        yield float(nominal.item() * np.asarray(getattr(draws, name))[run])
+        yield float(nominal.item() * np.asarray(draws.values[name])[run])
 
 
 def _tracked(loop: ClosedLoop, follow: Callable[[Array, float], Array]) -> float:

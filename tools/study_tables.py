@@ -81,7 +81,7 @@ def disturbed() -> list[Disturbed]:
         Disturbed("`paper_k31` moving, 0.3 N m on the link", joint, joint.reference, pushed, LOAD),
         Disturbed("`two_link` moving, inertia 20 % larger", planar, planar.reference, heavier, LOAD),
         Disturbed("`arm7`, 0.3 rad at 0.2 Hz, inertia 20 % larger", arm, slow, heavier, LOAD),
-        Disturbed("the same, weight 20 % larger too", arm, slow, replace(heavier, gravity=1.2), LOAD),
+        Disturbed("the same, weight 20 % larger too", arm, slow, Draws(1, link_inertia=1.2, gravity=1.2), LOAD),
         *(
             Disturbed(f"`{each.name}` moving, one sample of delay", each, each.reference, late, PREDICTION)
             for each in (joint, planar, arm)
@@ -152,7 +152,7 @@ def _noise(study: Sweep, gains: fjr.Gains) -> Iterator[str]:
     yield f"{1e3 * np.median(drawn['rms']):.2g} mrad"
     yield f"{np.median(drawn['effort_noise']):.2g} N m"
     longer = replace(scenario_loop(scenario, law, SECONDS, settle_after=SETTLED), settings=None)
-    trial = Trial(longer, motion_demand(scenario.robot, scenario.reference), np.asarray(draws.effort_limit)[0])
+    trial = Trial(longer, motion_demand(scenario.robot, scenario.reference), draws.values["effort_limit"][0])
     yield f"{1e3 * (trial.margins(directions(['noise']))['noise up to'].level or 0.0):.2g} mrad"
     check = fjr.check(law, scenario.sample_period, scenario.loop_delay, scenario.configurations())
     yield f"{check.delay_margin:.1f} samples"

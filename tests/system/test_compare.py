@@ -369,7 +369,7 @@ MISSPELT = {"x": {"reference.frequenzy": [1.0]}}
         ({**PAPER, "references": MISSPELT}, {}, "did you mean 'reference.freq"),
         ({"scenario": "late.yaml"}, {}, "robot 'r': the scenario sets imperfections.state_delay; "),
         ({**PAPER, "references": STILL}, {}, "'still' of r: the reference is at rest"),
-        (PAPER, {"vary": {"stiffnes": 0.5}}, "'vary' has 'stiffnes'; expected some of stiffness"),
+        (PAPER, {"vary": {"stiffnes": 0.5}}, "'vary' has 'stiffnes'; expected some of payload_mass, "),
         (PAPER, {"imperfections": {"wind": 1.0}}, "unknown imperfection 'wind'"),
         (PAPER, {"success": 2.0}, "'success' is 2.0; expected 0 to 1"),
         (PAPER, {"settle_after": 0.7}, "'settle_after' is 0.7 and 'duration' 0.6 s"),

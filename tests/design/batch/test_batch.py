@@ -203,6 +203,7 @@ MAKE: dict[type[fjr.FjrError], Callable[..., object]] = {
     StateError: paper_loop,
 }
 REFUSED: list[tuple[type[fjr.FjrError], dict[str, Any], str]] = [
+    (ParameterError, {"stifness": 1.0}, "stifness is not drawn; expected some of "),
     (ParameterError, {"stiffness": 0.0}, "the minimum of stiffness is 0; expected positive"),
     (ParameterError, {"stiffness": [1.0, 1.0]}, "stiffness has shape (2,)"),
     (ParameterError, {"stiffness": np.ones((3, 2))}, "stiffness has shape (3, 2)"),

@@ -61,38 +61,38 @@ def whole() -> Any:
 
 
 def test_draws_have_the_means_deviations_and_correlation_of_the_posterior(whole: Any) -> None:
-    stiffness, inertia = (np.log(getattr(whole, name)[:, 0]) for name in ("stiffness", "motor_inertia"))
+    stiffness, inertia = (np.log(whole.values[name][:, 0]) for name in ("stiffness", "motor_inertia"))
     assert stiffness.mean() == pytest.approx(np.log(30.0 / 31.0), abs=0.01)
     assert inertia.mean() == pytest.approx(np.log(0.005 / 0.004), abs=0.01)
     assert [stiffness.std(), inertia.std()] == pytest.approx(DEVIATIONS[:2].tolist(), rel=0.06)
     assert np.corrcoef(stiffness, inertia)[0, 1] == pytest.approx(CORRELATION, abs=0.03)
-    assert whole.coulomb_l[:, 0].std() == pytest.approx(0.02, rel=0.06)
-    assert whole.delay.mean() == pytest.approx(1e-3, rel=0.02)
+    assert whole.values["coulomb_l"][:, 0].std() == pytest.approx(0.02, rel=0.06)
+    assert whole.values["delay"].mean() == pytest.approx(1e-3, rel=0.02)
 
 
 def test_a_run_draws_the_same_plant_whichever_runs_accompany_it(whole: Any) -> None:
     part = study().draws(700, 703)
     for name in ("stiffness", "motor_inertia", "coulomb_l", "delay"):
-        assert np.array_equal(getattr(part, name), getattr(whole, name)[700:703])
+        assert np.array_equal(part.values[name], whole.values[name][700:703])
 
 
 def test_what_is_not_identifiable_is_not_drawn(whole: Any) -> None:
-    assert np.all(whole.link_damping == 1.0)
+    assert np.all(whole.values["link_damping"] == 1.0)
     columns = [each.column for each in study().drawn]
     assert columns == ["stiffness.joint1", "motor_inertia.joint1", "coulomb_l.joint1", "delay"]
 
 
 def test_marginal_shares_of_the_draws_are_uniform(whole: Any) -> None:
     (marginal,) = (each.distribution for each in study().drawn if each.name == "stiffness")
-    shares = marginal.share(whole.stiffness[:, 0])
+    shares = marginal.share(whole.values["stiffness"][:, 0])
     assert np.histogram(shares, 10, (0, 1))[0].min() > 140
 
 
 def test_the_text_of_a_study_keeps_the_posterior() -> None:
     again = from_text(study().text)
-    assert np.array_equal(again.draws(3, 5).stiffness, study().draws(3, 5).stiffness)
+    assert np.array_equal(again.draws(3, 5).values["stiffness"], study().draws(3, 5).values["stiffness"])
     columns = again.part(0, 2)
-    assert columns["stiffness.joint1"] == pytest.approx(study().draws(0, 2).stiffness[:, 0])
+    assert columns["stiffness.joint1"] == pytest.approx(study().draws(0, 2).values["stiffness"][:, 0])
     assert "delay" in columns
 
 

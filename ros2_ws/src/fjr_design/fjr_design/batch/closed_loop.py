@@ -311,7 +311,7 @@ class ClosedLoop:
             "segments": segments,
             "ring": int(segments[:, :, 0].max(initial=0)) + 1,
             "dt": dt,
-            "seeds": np.asarray(draws.seed, dtype=np.uint64),
+            "seeds": draws.seed,
         }
 
     @property

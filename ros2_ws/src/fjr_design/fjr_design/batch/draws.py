@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import ParameterError
-from fjr_core.numerics.checks import Array, floats, freeze
+from fjr_core.numerics.checks import Array, floats
 from fjr_core.simulation.deviations import DEVIATIONS, NONNEGATIVE, POINT, POSITIVE, Deviation
 from fjr_msgs_py.console.output import tell
 
@@ -35,7 +35,11 @@ FORM = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+NOT_DRAWN = ("payload", "link_central_inertia", "gravity_direction", "motor_torque")
+PARAMETERS = {name: one for name, one in DEVIATIONS.items() if name not in NOT_DRAWN}
+"""The deviations that a study draws, by name."""
+
+
 class Draws:
     """Values of all PARAMETERS in k runs: each a scalar for all runs, (k,), or (k, n) per joint; nominal by default.
 
@@ -51,45 +55,20 @@ class Draws:
     the run. Raises ParameterError.
     """
 
-    runs: int
-    stiffness: ArrayLike = 1.0
-    link_mass: ArrayLike = 1.0
-    link_inertia: ArrayLike = 1.0
-    gravity: ArrayLike = 1.0
-    motor_inertia: ArrayLike = 1.0
-    link_damping: ArrayLike = 1.0
-    motor_damping: ArrayLike = 1.0
-    coulomb_l: ArrayLike = 0.0
-    coulomb_m: ArrayLike = 0.0
-    smoothing: ArrayLike = DEVIATIONS["smoothing"].nominal
-    link_torque: ArrayLike = 0.0
-    cubic: ArrayLike = 0.0
-    hysteresis: ArrayLike = 0.0
-    slip: ArrayLike = DEVIATIONS["slip"].nominal
-    payload_mass: ArrayLike = 0.0
-    payload_position: ArrayLike = 0.0
-    delay: ArrayLike = 0.0
-    position_noise: ArrayLike = 0.0
-    velocity_noise: ArrayLike = 0.0
-    resolution: ArrayLike = 0.0
-    effort_limit: ArrayLike = np.inf
-    seed: ArrayLike | None = None
-
-    def __post_init__(self) -> None:
-        if isinstance(self.runs, bool) or not isinstance(self.runs, (int, np.integer)) or self.runs < 0:
-            raise ParameterError(f"runs is {self.runs!r}; expected a whole number, 0 or more")
-        for each in PARAMETERS.values():
-            freeze(self, each.name, self._checked(each))
-        seeds = np.arange(self.runs) if self.seed is None else np.asarray(self.seed)
-        if seeds.shape not in ((), (self.runs,)) or seeds.dtype.kind not in "iu":
-            raise ParameterError(
-                f"seed is of {seeds.dtype} and shape {seeds.shape}; expected {self.runs} whole numbers"
-            )
-        freeze(self, "seed", np.broadcast_to(seeds, self.runs).astype(np.uint64))
+    def __init__(self, runs: int, seed: ArrayLike | None = None, **values: ArrayLike) -> None:
+        if isinstance(runs, bool) or not isinstance(runs, (int, np.integer)) or runs < 0:
+            raise ParameterError(f"runs is {runs!r}; expected a whole number, 0 or more")
+        if unknown := values.keys() - PARAMETERS.keys():
+            raise ParameterError(f"{', '.join(unknown)} is not drawn; expected some of {', '.join(PARAMETERS)}")
+        seeds = np.arange(runs) if seed is None else np.asarray(seed)
+        if seeds.shape not in ((), (runs,)) or seeds.dtype.kind not in "iu":
+            raise ParameterError(f"seed is of {seeds.dtype} and shape {seeds.shape}; expected {runs} whole numbers")
+        self.runs, self.seed = runs, np.broadcast_to(seeds, runs).astype(np.uint64)
+        self.values = {name: self._checked(one, values.get(name, one.nominal)) for name, one in PARAMETERS.items()}
 
     def columns(self, name: str, n: int) -> Array:
         """Return one field as (k, n), as (k, 1) if it is per run, or as (k, 3) for payload_position."""
-        value, most = np.asarray(getattr(self, name)), PARAMETERS[name].width(n)
+        value, most = self.values[name], PARAMETERS[name].width(n)
         each = value.shape == (self.runs,) and PARAMETERS[name].per != POINT  # a list of it is always x, y, z
         column = value[:, None] if each else value
         if column.ndim and column.shape[-1] not in (1, most):
@@ -101,15 +80,14 @@ class Draws:
     def taken(self, which: slice | Iterable[int]) -> Draws:
         """Return the selected runs with their seeds."""
         index = np.arange(self.runs)[which if isinstance(which, slice) else np.asarray(list(which), dtype=int)]
-        values = {}
-        for name in (*PARAMETERS, "seed"):
-            value = np.asarray(getattr(self, name))
-            for_all = value.ndim == 0 or (name == "payload_position" and value.ndim == 1)
-            values[name] = value if for_all else value[index]
-        return Draws(len(index), **values)
+        values = {
+            name: value if value.ndim == 0 or (name == "payload_position" and value.ndim == 1) else value[index]
+            for name, value in self.values.items()
+        }
+        return Draws(len(index), self.seed[index], **values)
 
-    def _checked(self, one: Deviation) -> Array:
-        name, array = one.name, floats(one.name, getattr(self, one.name), ParameterError)
+    def _checked(self, one: Deviation, value: ArrayLike) -> Array:
+        name, array = one.name, floats(one.name, value, ParameterError)
         if np.any(np.isnan(array)) or (name != "effort_limit" and not np.all(np.isfinite(array))):
             raise ParameterError(f"{name} has entries that are not finite; expected finite numbers")
         fits = array.ndim == 0 or (one.per == POINT and array.shape == (3,)) or len(array) == self.runs
@@ -122,10 +100,6 @@ class Draws:
         if one.sign == NONNEGATIVE and not np.all(array >= 0):
             raise ParameterError(f"the minimum of {name} is {array.min():g}; expected 0 or more")
         return array
-
-
-PARAMETERS = {each.name: DEVIATIONS[each.name] for each in fields(Draws) if each.name in DEVIATIONS}
-"""The deviations that a study draws, by name."""
 
 
 def unit_of(column: str) -> str:

@@ -299,10 +299,10 @@ class Trial:
         """Return the draws of runs with these imperfections; fields that none of them changes are nominal."""
         n, step = self.loop.robot.n, self.loop.sample_period / self.loop.inner_steps
         fields = [fields_of(levels, self.demand, step) for levels in runs]
-        nominal, columns = Draws(1), {}
+        columns = {}
         for name in {name for each in fields for name in each}:
-            zeros = np.zeros(() if PARAMETERS[name].per_run else n)
-            columns[name] = np.stack([np.asarray(each.get(name, getattr(nominal, name))) + zeros for each in fields])
+            nominal = np.full(() if PARAMETERS[name].per_run else n, PARAMETERS[name].nominal)
+            columns[name] = np.stack([np.broadcast_to(each.get(name, nominal), nominal.shape) for each in fields])
         limit = np.broadcast_to(self.effort_limit, (len(runs), n))
         return Draws(len(runs), seed=self.seed, effort_limit=limit, **columns)
 
