@@ -16,7 +16,7 @@ import matplotlib.image
 import pyarrow.parquet as pq
 import pytest
 
-from fjr_design.studies.study import ClusterError, cluster, open_store
+from fjr_design.studies.study import ClusterError, Columns, cluster, open_store
 from fjr_design.studies.sweep import planned, run_part
 from fjr_design.studies.sweep_run import carry_out, jobs_of
 from system.browser import Browser
@@ -70,8 +70,8 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
     fjr_here("sweep", name, "--cores", "all", "--output", str(tmp_path))
     address, killed, after = local_cluster.scheduler_address, [], [0]
 
-    def lose_one(runs: int) -> None:
-        after[0] += runs
+    def lose_one(columns: Columns) -> None:
+        after[0] += len(columns["run"])
         if after[0] == 100:
             with Client(address, set_as_default=False) as client:
                 killed.extend(sorted(client.run(os.getpid).values())[:1])

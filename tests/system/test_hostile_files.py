@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sqlite3
 import struct
@@ -21,10 +20,8 @@ from mcap.writer import CompressionType, Writer
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import CompressionMode
 
-from fjr_core.files.text_file import is_sealed, write_text
 from fjr_design.studies import suite
-from fjr_design.studies.compare_run import read_kept
-from fjr_design.studies.study import Store, open_store
+from fjr_design.studies.study import Kept, Store, open_store
 from fjr_design.studies.sweep import Sweep, planned, usual
 from fjr_monitor.recording.bag import Bag, BagError, read_bag
 from fjr_monitor.recording.files import Topic
@@ -329,16 +326,16 @@ def test_a_changed_table_and_an_invalid_study_file_are_refused(text: str, tmp_pa
 
 
 def test_changed_kept_result_is_computed_again(tmp_path: Path) -> None:
-    path = tmp_path / "job.json"
-    write_text(path, json.dumps({"law": "v_dpbc"}), sealed=True)
-    assert read_kept(tmp_path, "job") == {"law": "v_dpbc"}
+    path, kept = tmp_path / "job.json", Kept(tmp_path)
+    kept.keep("job", {"law": "v_dpbc"})
+    assert kept.holds("job")
+    assert kept.read("job") == {"law": "v_dpbc"}
     for text in ('{"law": "v_dpbd"}', "[]", "[" * 100_000):
         path.write_text(text)
-        assert not is_sealed(path)
-        assert read_kept(tmp_path, "job") is None
+        assert not kept.holds("job")
     path.write_text('{"law": "v_dpbc"}')
     (tmp_path / "job.json.sha256").unlink()
-    assert read_kept(tmp_path, "job") is None
+    assert not kept.holds("job")
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "[]", '{"planned_s": "5", "not_recorded": [], "failure": 3}'])

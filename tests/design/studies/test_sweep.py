@@ -161,7 +161,7 @@ def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(sweep_run, "run_part", counted)
     with opened(tmp_path / "a", plan) as kept, threads(1) as workers:
         with pytest.raises(Interrupted) as ended:
-            kept.run(workers, counted, jobs_of(plan), stop, lambda runs: stop.set())
+            kept.run(workers, counted, jobs_of(plan), stop, lambda columns: stop.set())
         assert ended.value.kept == tmp_path / "a"
         there = sum(map(kept.holds, jobs_of(plan)))
         assert 0 < there < 5

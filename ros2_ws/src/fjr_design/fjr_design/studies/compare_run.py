@@ -25,13 +25,12 @@ from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import CompareError, FjrError, prefixed
 from fjr_core.extensions.python_code import own_law
 from fjr_core.files.importing import is_named, load, source_digest
-from fjr_core.files.text_file import is_sealed, read_json, write_text
+from fjr_core.files.text_file import write_text
 from fjr_core.law.interfaces import SampledLaw, StaticLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import program_digest
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linearization import spectral_radius
-from fjr_msgs_py.console.ending import Interrupted
 from fjr_msgs_py.console.output import Result, aligned, finite, progress_bar, tell
 from fjr_msgs_py.scenarios import library
 
@@ -39,7 +38,7 @@ from ..batch import scenario_loop
 from ..batch.draws import FIXED, Distribution, varied
 from ..tuning.equal_bandwidth import baseline_target, tune
 from . import compare_page, compare_results, suite
-from .study import processes, report_share
+from .study import Kept, processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
 from .sweep import Sweep
 from .trial import MotionDemand, Trial, directions, fields_of, motion_demand
@@ -49,7 +48,7 @@ TRACE_POINTS = 600
 SETTLED = 0.02  # of the motion; band of the settling time
 TUNING = 0.8  # of the work on a law that is tuned to uncertainties
 OUTER = 0.95  # quantile that is reported beside the median
-PAGE, RESULTS, CACHE = "comparison.html", "comparison.json", "kept"
+PAGE, RESULTS, KEPT = "comparison.html", "comparison.json", "kept"
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total} pairs of law and robot, {elapsed} < {remaining}"
 QUIET = 2.0  # s until the progress bar appears
 Values = dict[str, Any]
@@ -69,7 +68,7 @@ def compare(name: str, output: Path, cores: int, page: Path | None, stop: thread
             tell(f"{law.law} is evaluated in Python: its runs are not compiled, so they take longer")
     planned = jobs(chosen)
     folder = output / f"compare_{chosen.name}"
-    found = run(planned, folder / CACHE, cores, stop)
+    found = run(planned, folder / KEPT, cores, stop)
     document = compare_results.document(chosen, [(job.robot, job.law.label) for job in planned], found)
     write_text(folder / RESULTS, json.dumps(document, allow_nan=False) + "\n")
     compare_page.write_page(folder / PAGE, document)
@@ -110,52 +109,31 @@ def jobs(suite: Suite) -> list[Job]:
     return [Job(law, robot.label, texts[robot.label, law.join], shared) for robot in suite.robots for law in suite.laws]
 
 
-def run(jobs: Sequence[Job], kept: Path, cores: int, stop: threading.Event) -> list[Values]:
-    """Return the results in the order of the jobs; write each into the folder `kept` as soon as it is finished.
+def run(jobs: Sequence[Job], folder: Path, cores: int, stop: threading.Event) -> list[Values]:
+    """Return the results in the order of the jobs; keep each in the folder as soon as it is finished.
 
     Raise the FjrError of a job, CompareError if a worker died, Interrupted when `stop` is set.
     """
-    kept.mkdir(parents=True, exist_ok=True)
-    results = {job.key: read_kept(kept, job.key) for job in jobs}
-    missing = [job for job in jobs if results[job.key] is None]
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = Kept(folder)
+    missing = [job for job in jobs if not kept.holds(job.key)]
     if missing:
         joints = {job.robot: parse_scenario(job.robot, job.scenarios[0][1]).robot.n for job in missing}
         missing.sort(key=lambda job: joints[job.robot], reverse=True)  # the longest first
+        numbered = {job.key: (job, number) for number, job in enumerate(missing)}
+        line = f"compare: {len(missing)} of {len(jobs)} pairs of law and robot to run"
         try:
-            results |= _compute(missing, len(jobs), kept, cores, stop)
+            with (
+                progress_bar(line, PROGRESS, total=len(missing), desc="compare", delay=QUIET) as bar,
+                processes(min(cores, len(missing)), len(missing)) as (workers, done),
+            ):
+                kept.run(workers, work, numbered, stop, on_look=lambda: bar.update(sum(done) - bar.n))
         except BrokenExecutor:
             raise CompareError(
-                f"a worker process died (killed or out of memory). Finished results are in {kept}; "
+                f"a worker process died (killed or out of memory). Finished results are in {folder}; "
                 "run the same command again to continue, with fewer --cores if memory is short"
             ) from None
-    return [result for job in jobs if (result := results[job.key]) is not None]
-
-
-def _compute(missing: list[Job], jobs: int, kept: Path, cores: int, stop: threading.Event) -> dict[str, Values]:
-    results: dict[str, Values] = {}
-    line = f"compare: {len(missing)} of {jobs} pairs of law and robot to run"
-    with (
-        progress_bar(line, PROGRESS, total=len(missing), desc="compare", delay=QUIET) as bar,
-        processes(min(cores, len(missing)), len(missing)) as (workers, done),
-    ):
-
-        def keep(key: str, result: Values) -> None:
-            write_text(kept / f"{key}.json", json.dumps(result, allow_nan=False), sealed=True)
-            results[key] = result
-
-        numbered = {job.key: (job, number) for number, job in enumerate(missing)}
-        if not workers.run(work, numbered, keep, stop, lambda: bar.update(sum(done) - bar.n)):
-            raise Interrupted(kept if any(kept.glob("*.json")) else None)
-    return results
-
-
-def read_kept(kept: Path, key: str) -> Values | None:
-    """Return the kept result of a job; None if it is missing or changed."""
-    path = kept / f"{key}.json"
-    try:
-        return read_json(path) if is_sealed(path) else None
-    except (OSError, ValueError):
-        return None
+    return [kept.read(job.key) for job in jobs]
 
 
 def work(job: Job, number: int = 0) -> Values:

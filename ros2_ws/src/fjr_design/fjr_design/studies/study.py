@@ -67,15 +67,10 @@ def _parquet() -> Any:
 
 
 @dataclass(frozen=True)
-class Store:
-    """Folder of a study: the columns of each finished job by its key; create it by `open_store`."""
+class Kept:
+    """Folder of the results of finished jobs by their keys, plain values in a JSON file each."""
 
     folder: Path
-
-    @property
-    def table(self) -> Path:
-        """Path of the table of all runs."""
-        return self.folder / "table.parquet"
 
     def holds(self, key: str) -> bool:
         """Return whether a job is finished and its file is as it was written."""
@@ -84,28 +79,50 @@ class Store:
     def run(
         self,
         workers: Workers,
-        work: Callable[..., Columns],
+        work: Callable[..., Any],
         jobs: Mapping[str, Job],
         stop: threading.Event,
-        on_kept: Callable[[int], object] = lambda runs: None,
+        on_kept: Callable[[Any], object] = lambda result: None,
+        on_look: Callable[[], object] = lambda: None,
     ) -> None:
-        """Run work(*job) for the jobs by their keys that are not finished, and keep the columns of each.
+        """Run work(*job) for the jobs by their keys that are not finished, and keep the result of each.
 
-        on_kept: called with the number of runs of each. Raise Interrupted if `stop` was set, and what Workers.run does.
+        on_kept: called with each. on_look: see Workers.run. Raise Interrupted if `stop` was set, and what that does.
         """
 
-        def keep(key: str, columns: Columns) -> None:
-            self.keep(key, columns)
-            on_kept(len(next(iter(columns.values()))))
+        def keep(key: str, result: Any) -> None:
+            self.keep(key, result)
+            on_kept(result)
 
-        if not workers.run(work, {key: job for key, job in jobs.items() if not self.holds(key)}, keep, stop):
-            raise Interrupted(self.folder)
+        left = {key: job for key, job in jobs.items() if not self.holds(key)}
+        if not workers.run(work, left, keep, stop, on_look):
+            raise Interrupted(self.folder if any(map(self.holds, jobs)) else None)
 
-    def keep(self, key: str, columns: Columns) -> None:
+    def keep(self, key: str, result: Any) -> None:
+        """Write the result of a finished job atomically."""
+        write_text(self._file(key), json.dumps(result, allow_nan=False), sealed=True)
+
+    def read(self, key: str) -> Any:
+        """Return the result of a finished job."""
+        return read_json(self._file(key))
+
+    def _file(self, key: str) -> Path:
+        return self.folder / f"{key}.json"
+
+
+class Store(Kept):
+    """Folder of a sweep or a tuning: the columns of each finished job as Parquet; create it by `open_store`."""
+
+    @property
+    def table(self) -> Path:
+        """Path of the table of all runs."""
+        return self.folder / "table.parquet"
+
+    def keep(self, key: str, result: Columns) -> None:
         """Write the columns of a finished job atomically."""
         pa = _parquet()
         with whole_file(self._file(key), sealed=True) as scratch:
-            pa.parquet.write_table(pa.table(columns), scratch, compression="zstd")
+            pa.parquet.write_table(pa.table(result), scratch, compression="zstd")
 
     def read(self, key: str) -> Columns:
         """Return the columns of a finished job."""

@@ -120,7 +120,7 @@ def carry_out(plan: Sweep, store: Store, workers: Workers, stop: threading.Event
     if left:
         line = f"{plan.name}: {plural(left, 'run')} on {plural(workers.count, 'core')}"
         with progress_bar(line, PROGRESS, total=plan.runs, initial=done, desc=plan.name, unit=" runs") as bar:
-            store.run(workers, run_part, jobs, stop, bar.update)
+            store.run(workers, run_part, jobs, stop, lambda columns: bar.update(len(columns["run"])))
     if jobs:
         store.write_table(list(jobs))
     store.remove_parts()
