@@ -10,7 +10,6 @@ from typing import Any
 import click
 
 from fjr_msgs_py.console import options
-from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.options import (
     command,
     duration_option,
@@ -199,14 +198,12 @@ def export_ros2_control(**given: Any) -> Any:
 @_drawn_plants_options(cores="1")
 @output_option("Folder in which NAME/ is written.", "runs/sweeps")
 @set_option
-def sweep(scenario: str | None, **given: Any) -> Any:
+def sweep(**given: Any) -> Any:
     """Run a Monte-Carlo study of model errors.
 
     SCENARIO is the name of an installed sweep or scenario, or a YAML file of either.
     """
-    run = implementation("fjr_design.studies.sweep_run")
-    with stoppable() as stop:
-        return run.sweep(scenario, stop=stop, **given)
+    return implementation("fjr_design.studies.sweep_run").sweep(**given)
 
 
 @command()
@@ -224,15 +221,13 @@ def sweep(scenario: str | None, **given: Any) -> Any:
 @_drawn_plants_options(cores="all")
 @output_option("Folder in which NAME_LAW/ is written.", "runs/tuned")
 @set_option
-def tune(scenario: str | None, **given: Any) -> Any:
+def tune(**given: Any) -> Any:
     """Choose gains for stated model errors.
 
     SCENARIO is the name of an installed sweep or scenario, or a YAML file of either. The gains minimise a cost over
     drawn plants and are validated on fresh ones (docs/gains.md).
     """
-    run = implementation("fjr_design.studies.tune_run")
-    with stoppable() as stop:
-        return run.tune(scenario, stop=stop, **given)
+    return implementation("fjr_design.studies.tune_run").tune(**given)
 
 
 @command()
@@ -255,13 +250,11 @@ def tune(scenario: str | None, **given: Any) -> Any:
     hidden=True,
     help="Deprecated in 0.1.0: use --document.",
 )
-def compare(suite: str, output: Path, cores: int, document: Path | None, readme: Path | None) -> Any:
+def compare(suite: str, document: Path | None, readme: Path | None, **given: Any) -> Any:
     """Compare control laws under imperfections.
 
     SUITE is the name of a comparison or a YAML file. [default: paper]
     """
     if readme is not None:
         tell("--readme is deprecated; use --document")
-    run = implementation("fjr_design.studies.compare_run")
-    with stoppable() as stop:
-        return run.compare(suite, output, cores, document or readme, stop)
+    return implementation("fjr_design.studies.compare_run").compare(suite, document or readme, **given)

@@ -31,6 +31,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import program_digest
 from fjr_core.robust.law import Robust, sampled_law
 from fjr_core.stability.linearization import spectral_radius
+from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result, aligned, finite, progress_bar, tell
 from fjr_msgs_py.scenarios import library
 
@@ -54,8 +55,8 @@ QUIET = 2.0  # s until the progress bar appears
 Values = dict[str, Any]
 
 
-def compare(name: str, output: Path, cores: int, page: Path | None, stop: threading.Event) -> Result:
-    """Compare the laws of a suite; return a summary. Raise FjrError, and Interrupted when `stop` is set.
+def compare(name: str, page: Path | None, output: Path, cores: int) -> Result:
+    """Compare the laws of a suite; return a summary. Raise FjrError, Interrupted.
 
     Results go to output/compare_<suite>/: comparison.html, comparison.json, and kept/ with finished jobs, which are not
     run again. page: Markdown document whose table between the markers is replaced.
@@ -68,7 +69,8 @@ def compare(name: str, output: Path, cores: int, page: Path | None, stop: thread
             tell(f"{law.law} is evaluated in Python: its runs are not compiled, so they take longer")
     planned = jobs(chosen)
     folder = output / f"compare_{chosen.name}"
-    found = run(planned, folder / KEPT, cores, stop)
+    with stoppable() as stop:
+        found = run(planned, folder / KEPT, cores, stop)
     document = compare_results.document(chosen, [(job.robot, job.law.label) for job in planned], found)
     write_text(folder / RESULTS, json.dumps(document, allow_nan=False) + "\n")
     compare_page.write_page(folder / PAGE, document)

@@ -23,6 +23,7 @@ from fjr_core.numerics.checks import Array
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, draw_plot, write_picture
+from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result, finite, json_text, number, percent, plural, progress_bar, tell
 
 from ..batch.draws import FIXED, LOG_UNIFORM, unit_of
@@ -58,23 +59,22 @@ WIDTH = 42  # characters of a line over a plot
 
 
 def sweep(
-    name: str | None,
+    scenario: str | None,
     assignments: Sequence[str],
     cores: int,
     scheduler: str | None,
     output: Path,
-    stop: threading.Event,
     **numbers: float | None,
 ) -> Result:
     """Run or resume a sweep, write table, summary, figure and page; return a summary. Raise FjrError, Interrupted.
 
     scheduler: address of a Dask cluster instead of cores. output: folder of the sweep's folder. numbers: see `planned`.
     """
-    plan = planned(name, assignments, **numbers)
+    plan = planned(scenario, assignments, **numbers)
     check_and_warn(plan)
     if plan.loop.in_python:
         tell(IN_PYTHON)
-    with open_store(output / plan.name, plan.text, plan.loop.fingerprint) as store:
+    with stoppable() as stop, open_store(output / plan.name, plan.text, plan.loop.fingerprint) as store:
         with workers_of(plan, cores, scheduler) as workers:
             carry_out(plan, store, workers, stop)
         summary = summarised(plan, store.column)

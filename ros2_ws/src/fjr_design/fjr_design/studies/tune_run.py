@@ -25,6 +25,7 @@ from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, write_picture
+from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
@@ -130,24 +131,23 @@ def planned(name: str | None, law: str | None, assignments: Sequence[str], numbe
 
 
 def tune(
-    name: str | None,
+    scenario: str | None,
     law: str | None,
     assignments: Sequence[str],
     cores: int,
     scheduler: str | None,
     output: Path,
-    stop: threading.Event,
     **numbers: float | None,
 ) -> Result:
     """Search and validate; write result, scenario and picture; return a summary. Raise FjrError, Interrupted.
 
     Arguments as of sweep_run.sweep; numbers: also SIZE.
     """
-    study = planned(name, law, assignments, numbers)
+    study = planned(scenario, law, assignments, numbers)
     check_and_warn(study.sweep)
     _ = study.coordinates
     folder = output / f"{study.sweep.name}_{study.sweep.scenario.controller_values[TYPE.name]}"
-    with workers_of(study.sweep, cores, scheduler) as workers:
+    with stoppable() as stop, workers_of(study.sweep, cores, scheduler) as workers:
         study = with_better_start(study)
         with open_store(folder, study.text, study.sweep.loop.fingerprint) as store:
             total = study.searched + 2 * study.fresh
@@ -155,10 +155,10 @@ def tune(
             with progress_bar(line, PROGRESS, total=total, desc=study.sweep.name, unit=" runs") as bar:
                 figures = partial(kept_figures, study, store, workers, stop, bar.update)
                 candidates, point = search(study, figures)
-                scenario, chosen = figures([OF_SCENARIO, point], study.stages[2])
+                own, chosen = figures([OF_SCENARIO, point], study.stages[2])
             store.write_table(sorted(path.stem for path in store.folder.glob("parts/*.parquet")))
-    scores = study.score(OF_SCENARIO, scenario), study.score(point, chosen)
-    return _shown(Tuned(study, candidates, point, scenario, chosen, scores), folder)
+    scores = study.score(OF_SCENARIO, own), study.score(point, chosen)
+    return _shown(Tuned(study, candidates, point, own, chosen, scores), folder)
 
 
 def _shown(tuned: Tuned, folder: Path) -> Result:
