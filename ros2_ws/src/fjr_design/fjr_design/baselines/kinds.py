@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from fjr_core.extensions.law_registry import LawKind
 
 from .active_disturbance import ActiveDisturbanceGains, ActiveDisturbanceRejection
@@ -15,17 +17,25 @@ from .pd_gravity import PdFeedforward, PdGains, PdGravity
 from .torque_feedback import TorqueFeedback, TorqueFeedbackFeedforward, TorqueFeedbackGains
 
 _AT_REST, _FEEDFORWARD = "decays for a constant reference", "inverse dynamics of the reference"
-_DLR = "Albu-Schaeffer, Ott, Hirzinger 2007"
+_PD = LawKind("pd_gravity", "motor PD + gravity", "Tomei 1991", PdGravity, PdGains.standard, "motor side", _AT_REST)
+_TORQUE_FEEDBACK = LawKind(
+    name="torque_feedback",
+    title="torque feedback",
+    paper="Albu-Schaeffer, Ott, Hirzinger 2007",
+    make=TorqueFeedback,
+    tuning_rule=TorqueFeedbackGains.standard,
+    measures="motor side, spring torque",
+    storage=_AT_REST,
+    scaled=("M_theta",),
+)
 BASELINES = (
-    LawKind("pd_gravity", "motor PD + gravity", "Tomei 1991", PdGravity, PdGains.standard, "motor side", _AT_REST),
-    LawKind(
+    _PD,
+    replace(
+        _PD,
         name="pd_feedforward",
         title="motor PD + feedforward",
         paper="De Luca 2000",
         make=PdFeedforward,
-        tuning_rule=PdGains.standard,
-        measures="motor side",
-        storage=_AT_REST,
         extension=_FEEDFORWARD,
     ),
     LawKind(
@@ -57,26 +67,13 @@ BASELINES = (
         damping_range=(0.3, 2.0),
         scaled=("K_1", "c_2"),
     ),
-    LawKind(
-        name="torque_feedback",
-        title="torque feedback",
-        paper=_DLR,
-        make=TorqueFeedback,
-        tuning_rule=TorqueFeedbackGains.standard,
-        measures="motor side, spring torque",
-        storage=_AT_REST,
-        scaled=("M_theta",),
-    ),
-    LawKind(
+    _TORQUE_FEEDBACK,
+    replace(
+        _TORQUE_FEEDBACK,
         name="torque_feedback_feedforward",
         title="torque feedback + feedforward",
-        paper=_DLR,
         make=TorqueFeedbackFeedforward,
-        tuning_rule=TorqueFeedbackGains.standard,
-        measures="motor side, spring torque",
-        storage=_AT_REST,
         extension=_FEEDFORWARD,
-        scaled=("M_theta",),
     ),
     LawKind(
         name="lqr",

@@ -29,10 +29,9 @@ from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
-from . import sweep
 from .coordinates import RULE, SCENARIO
 from .study import Store, Workers, divided, open_store
-from .sweep import OUTCOMES, described, file_of
+from .sweep import OUTCOMES, TUNE, described, file_of
 from .sweep_run import PROGRESS, check_and_warn, workers_of
 from .tune import (
     GOAL,
@@ -69,7 +68,7 @@ STARTS = {SCENARIO: "the scenario", RULE: "the rule of equal bandwidth"}
 
 def law_of(document: object) -> str | None:
     """Return the law that the section of a parsed file names, None if none; raise ParameterError."""
-    section = document.get(sweep.TUNE) if isinstance(document, Mapping) else None
+    section = document.get(TUNE) if isinstance(document, Mapping) else None
     name = section.get(LAW) if isinstance(section, Mapping) else None
     if name is not None and not isinstance(name, str):
         raise ParameterError(f"'tune' has {name!r} as '{LAW}'; expected the name of a law")
