@@ -258,7 +258,7 @@ class Trial:
     """Closed loop with the demand of its motion.
 
     effort_limit (n,) [N m]: saturation of commands; inf: none. tracks: a run tracks if it is stable and its RMS error
-    is at most this fraction of the RMS motion; the same for all laws. seed: of the noise, the same in every run.
+    is at most this fraction of the RMS motion; the same for all laws. All runs have the same noise.
     evaluated: (imperfection, level) of all runs so far -> metrics.
     """
 
@@ -266,7 +266,6 @@ class Trial:
     demand: MotionDemand
     effort_limit: ArrayLike = np.inf
     tracks: float = TRACKS
-    seed: int = 0
     evaluated: dict[tuple[str, float], Metrics] = field(default_factory=dict)
 
     def metrics(self, runs: Sequence[Mapping[str, float]]) -> list[Metrics]:
@@ -304,7 +303,7 @@ class Trial:
             nominal = np.full(() if PARAMETERS[name].per_run else n, PARAMETERS[name].nominal)
             columns[name] = np.stack([np.broadcast_to(each.get(name, nominal), nominal.shape) for each in fields])
         limit = np.broadcast_to(self.effort_limit, (len(runs), n))
-        return Draws(len(runs), seed=self.seed, effort_limit=limit, **columns)
+        return Draws(len(runs), seed=0, effort_limit=limit, **columns)
 
     def _track(self, levels: Levels) -> NDArray[np.bool_]:
         new = [key for key in dict.fromkeys(levels) if key not in self.evaluated]
