@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interfaces of laws: sampled laws with a controller state, and static laws u(x, x, t), which have none."""
+"""Base classes of laws: sampled laws, which may have a controller state, and static laws u(x, x, t) without one."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -26,21 +26,75 @@ ARGUMENTS = ("position", "velocity", "jets", "gains", "memory", "sent", "dt")
 """Arguments of SampledLaw.step_function, in order."""
 
 
-class StaticLaw(ABC):
-    """A static law u(x, x, t) of a robot as a pure function, with a storage V (nan if it has none); a SampledLaw.
+class SampledLaw(ABC):
+    """A law evaluated once per sample with its effort held; the reference is evaluated `lead` [s] after the stamp.
+
+    robot: its model. in_python: True for a law that is evaluated in Python and cannot be compiled.
+    """
+
+    robot: Robot
+    in_python = False
+    lead = 0.0
+    """Time [s] from the sample's stamp to the evaluation of the reference, 0 or more."""
+
+    @property
+    @abstractmethod
+    def gain_values(self) -> Array:
+        """The argument `gains` (g,) of step_function."""
+
+    @property
+    def memory(self) -> Array:
+        """Initial controller state (m,), the argument `memory` of the first step; (0,) for a static law."""
+        return np.zeros(0)
+
+    @property
+    @abstractmethod
+    def step_function(self) -> ca.Function:
+        """The CasADi function of one sample; not compiled, so that it can be part of another function.
+
+        (position (2n,), velocity (2n,), jets (n, 5), gains (g,), memory (m,), sent (n,), dt) -> u (n,), V, next (m,).
+        position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s]. memory, next: controller state before and after.
+        sent [N m]: effort sent at the last sample, after saturation, zero at the first sample. dt [s]: time since
+        the last sample, 0 at the first.
+        """
+
+    @property
+    def ready_step(self) -> ca.Function:
+        """step_function, compiled if the law is."""
+        return self.step_function
+
+    @property
+    def static(self) -> SampledLaw:
+        """The static law inside a law with a controller state, such as robust action; otherwise the law itself."""
+        return self
+
+    @property
+    def hold_damping(self) -> Array:
+        """Motor damping (n, n) [N m s/rad] of the stop policy that holds the weight only; none by default."""
+        return np.zeros((self.robot.n, self.robot.n))
+
+    def raise_failure(self) -> None:
+        """Raise the error of an evaluation since the last call; only a law in Python fails."""
+        return
+
+    def step_symbols(self) -> dict[str, ca.MX]:
+        """Return symbols for ARGUMENTS."""
+        n = self.robot.n
+        sizes = ((2 * n,), (2 * n,), (n, JETS), (len(self.gain_values),), (len(self.memory),), (n,), ())
+        return {name: ca.MX.sym(name, *size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
+
+
+class StaticLaw(SampledLaw):
+    """A static law u(x, x, t) of a robot as a pure function, with a storage V (nan if it has none).
 
     Subclasses define `measured_expressions` and `hold_damping`. Gains are arguments of the function, so that
     with_gains builds and compiles nothing. Efforts are neither saturated nor checked for finite values.
     gains: named as in the paper; `arrays(robot)` returns the arrays of the law's equations by name, and raises
     GainsError if the paper's conditions are violated.
-    in_python: True for a law that is evaluated in Python and cannot be compiled. observes: what an observer of its own
-    estimates, "" if it has none.
+    observes: what an observer of its own estimates, "" if it has none.
     """
 
-    in_python = False
     observes = ""
-    lead = 0.0
-    """Time [s] from the sample's stamp to the evaluation of the reference."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({joints(self.robot.n)}, {one_line(self.gains)})"
@@ -64,10 +118,6 @@ class StaticLaw(ABC):
         other.gain_values = self.symbols.values(other.arrays)
         return other
 
-    def raise_failure(self) -> None:
-        """Raise the error of an evaluation since the last call; only a law in Python fails."""
-        return
-
     @abstractmethod
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
         """Return the arguments of measured_function, and expressions of u (n,), V and further outputs."""
@@ -86,11 +136,6 @@ class StaticLaw(ABC):
     def gain_values(self) -> Array:
         """The argument `gains` (g,) of measured_function."""
         return self.symbols.values(self.arrays)
-
-    @property
-    def memory(self) -> Array:
-        """Empty controller state (0,)."""
-        return np.zeros(0)
 
     @property
     def sampled(self) -> SampledLaw:
@@ -141,7 +186,7 @@ class StaticLaw(ABC):
     @cached_property
     def step_function(self) -> ca.Function:
         """SampledLaw.step_function; it does not depend on memory, sent and dt."""
-        s = step_symbols(self)
+        s = self.step_symbols()
         u, V = self.measured_expression(s["position"], s["velocity"], s["jets"], s["gains"])
         return dense_function("sampled_law", s, {"u": u, "V": V, "next": s["memory"]})
 
@@ -150,71 +195,10 @@ class StaticLaw(ABC):
         return compiled(function) if self.compiles else function
 
 
-class SampledLaw(Protocol):
-    """A law evaluated once per sample with its effort held; the reference is evaluated `lead` [s] after the stamp."""
-
-    @property
-    def robot(self) -> Robot:
-        """The robot model of the law."""
-
-    @property
-    def lead(self) -> float:
-        """Time [s] from the sample's stamp to the evaluation of the reference, 0 or more."""
-
-    @property
-    def gain_values(self) -> Array:
-        """The argument `gains` (g,) of step_function."""
-
-    @property
-    def memory(self) -> Array:
-        """Initial controller state (m,), the argument `memory` of the first step; (0,) for a static law."""
-
-    @property
-    def step_function(self) -> ca.Function:
-        """The CasADi function of one sample; not compiled, so that it can be part of another function.
-
-        (position (2n,), velocity (2n,), jets (n, 5), gains (g,), memory (m,), sent (n,), dt) -> u (n,), V, next (m,).
-        position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s]. memory, next: controller state before and after.
-        sent [N m]: effort sent at the last sample, after saturation, zero at the first sample. dt [s]: time since
-        the last sample, 0 at the first.
-        """
-
-
-def step_symbols(law: SampledLaw) -> dict[str, ca.MX]:
-    """Return symbols for ARGUMENTS."""
-    n = law.robot.n
-    sizes = ((2 * n,), (2 * n,), (n, JETS), (len(law.gain_values),), (len(law.memory),), (n,), ())
-    return {name: ca.MX.sym(name, *size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
-
-
 def check_law(law: object) -> None:
-    """Raise StateError unless `law` is a StaticLaw or has the members of a SampledLaw; a function has not."""
-    if isinstance(law, StaticLaw) or all(hasattr(law, name) for name in ("robot", "step_function", "gain_values")):
-        return
-    raise StateError(
-        f"law is {kind_of(law)}; expected a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), "
-        "fjr.PythonLaw(own, robot), or an object with the members of fjr_core.law.interfaces.SampledLaw"
-    )
-
-
-def static_part(law: SampledLaw) -> SampledLaw:
-    """Return the static law inside a law with a controller state, such as robust action; any other law unchanged."""
-    found: SampledLaw = law if isinstance(law, StaticLaw) else getattr(law, "law", law)
-    return found
-
-
-def ready_step(law: SampledLaw) -> ca.Function:
-    """Return the step of a law, compiled if the law is."""
-    return law.ready_step if hasattr(law, "ready_step") else law.step_function
-
-
-def raise_failure(law: SampledLaw) -> None:
-    """Raise the error of an evaluation since the last call; only a law in Python fails (StaticLaw.raise_failure)."""
-    static = static_part(law)
-    if isinstance(static, StaticLaw):
-        static.raise_failure()
-
-
-def in_python(law: SampledLaw) -> bool:
-    """Return whether the law is evaluated in Python, so that nothing that contains it can be compiled."""
-    return bool(getattr(static_part(law), "in_python", False))
+    """Raise StateError unless `law` is a SampledLaw."""
+    if not isinstance(law, SampledLaw):
+        raise StateError(
+            f"law is {kind_of(law)}; expected a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), "
+            "fjr.PythonLaw(own, robot), or an object of a subclass of fjr_core.law.interfaces.SampledLaw"
+        )

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import GainsError
-from ..law.interfaces import SampledLaw, StaticLaw, step_symbols
+from ..law.interfaces import SampledLaw, StaticLaw
 from ..law.lie_derivative import Load, flow
 from ..law.vdpbc import TrackingLaw
-from ..model.robot import Robot
 from ..numerics import checks
 from ..numerics.checks import Array
-from ..numerics.one_line import one_line
 from ..numerics.parameter_field import VECTOR, parameter_field
 from ..numerics.symbolic import PackedVector, dense_function
 from .disturbance_observer import DisturbanceObserver
@@ -141,9 +139,8 @@ def sampled_law(law: StaticLaw, robust: Robust | None = None) -> SampledLaw:
     return law.sampled if robust.off else RobustLaw(law, robust)
 
 
-@dataclass(frozen=True, eq=False)
-class RobustLaw:
-    """A law with robust action, as a SampledLaw (docs/robust.md).
+class RobustLaw(SampledLaw):
+    """A law with robust action (docs/robust.md).
 
     Each sample estimates the disturbance torques, predicts the state at the time the effort acts, and evaluates there
     the law that compensates the estimates and the integral. V is the storage at this state, for v-dPBC plus the energy
@@ -151,34 +148,36 @@ class RobustLaw:
     Raises GainsError for inconsistent options.
     """
 
-    law: StaticLaw
-    robust: Robust
-
-    __repr__ = one_line
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "robust", self.robust.checked(self.robot.n))
-        law, robust = self.law, self.robust
-        if law.observes and not robust.off:
+    def __init__(self, law: StaticLaw, robust: Robust) -> None:
+        self.law, self.robust = law, robust.checked(law.robot.n)
+        self.robot, self.in_python, self.lead = law.robot, law.in_python, self.robust.lead
+        if law.observes and not self.robust.off:
             raise GainsError(
                 f"{type(law).__name__} estimates {law.observes} itself; expected robust.* of 0: two estimates of one "
                 "torque cannot be told apart, and a prediction leaves its observer behind"
             )
-        if law.robot.curve and (robust.estimates or robust.integrates) and not isinstance(law, TrackingLaw):
+        if law.robot.curve and (self.robust.estimates or self.robust.integrates) and not isinstance(law, TrackingLaw):
             raise GainsError(
                 f"{type(law).__name__} is given springs with a {law.robot.curve}; expected v_dpbc, or robust.delay "
                 "only: other laws compensate torques through straight springs"
             )
 
-    @property
-    def robot(self) -> Robot:
-        """The robot model of the law."""
-        return self.law.robot
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.law!r}, {self.robust!r})"
+
+    def raise_failure(self) -> None:
+        """Raise the error of an evaluation of the law in Python since the last call."""
+        self.law.raise_failure()
 
     @property
-    def lead(self) -> float:
-        """Time [s] from the sample to the evaluation of the reference: the prediction horizon."""
-        return self.robust.lead
+    def static(self) -> StaticLaw:
+        """The law without robust action."""
+        return self.law
+
+    @property
+    def hold_damping(self) -> Array:
+        """That of the law."""
+        return self.law.hold_damping
 
     @property
     def gain_values(self) -> Array:
@@ -213,7 +212,7 @@ class RobustLaw:
     @cached_property
     def step_function(self) -> ca.Function:
         """SampledLaw.step_function."""
-        s, r, n = step_symbols(self), self.robust, self.robot.n
+        s, r, n = self.step_symbols(), self.robust, self.robot.n
         gains, kept = self._gains.unpack(s["gains"]), self._memory.unpack(s["memory"])
         buffer, observer, action = self._buffer, DisturbanceObserver(self.robot), self._integral
         parts = buffer.step(kept, s["sent"], s["dt"]) if r.estimates or r.predicts else {}

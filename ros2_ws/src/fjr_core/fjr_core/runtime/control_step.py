@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GainsError, StateError, UserCodeError
-from ..law.interfaces import StaticLaw, raise_failure
+from ..law.interfaces import StaticLaw
 from ..motions.reference import JETS, Reference
 from ..numerics.checks import Array
 from ..numerics.jit import record_type
@@ -334,7 +334,7 @@ class ControlStep:
 
     def _law_failed(self) -> bool:
         try:
-            raise_failure(self._sampled)
+            self._sampled.raise_failure()
         except UserCodeError as error:
             self.law_failure = str(error)
             return True
@@ -351,7 +351,7 @@ class ControlStep:
         for point in (state,) if law.in_python else (np.ones(4 * n), state):  # its domain may be smaller
             with np.errstate(all="ignore"):
                 u = evaluate(point[: 2 * n], point[2 * n :], jets, values, *rest)[0]
-            raise_failure(sampled)
+            sampled.raise_failure()
             if not u.dot(u) < np.inf:
                 robust = "'gains.*' and 'robust.*'" if len(sampled.memory) else ""
                 names = robust or ("'law.options.*'" if law.in_python else "'gains.*'")

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..law.interfaces import SampledLaw, StaticLaw, in_python, ready_step, static_part
+from ..law.interfaces import SampledLaw, StaticLaw
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..numerics.checks import Array
@@ -145,7 +145,7 @@ def settings_struct(library: CLibrary, settings: Settings, law: SampledLaw) -> A
         "start_error": settings.start_error,
         "acceleration": settings.acceleration,
         "B_inverse": np.linalg.inv(law.robot.B_m),
-        "hold_damping": getattr(static_part(law), "hold_damping", np.zeros_like(law.robot.B_m)),
+        "hold_damping": law.hold_damping,
     }
     for name, array in arrays.items():
         setattr(struct, name, np.ravel(array).tolist())
@@ -227,13 +227,13 @@ def model_functions(
         functions["observer"] = observer.function
         del functions["dynamics"]
     if compile:
-        names = [name for name in functions if name != "law" or not in_python(law)]
+        names = [name for name in functions if name != "law" or not law.in_python]
     return {name: compiled(f) if name in names and machine_code(f) is None else f for name, f in functions.items()}
 
 
 def law_function(law: SampledLaw) -> Any:
     """Return the function of a law that C calls: its step, compiled if the law is, or that of a static law alone."""
-    return law.measured_function if isinstance(law, StaticLaw) else ready_step(law)
+    return law.measured_function if isinstance(law, StaticLaw) else law.ready_step
 
 
 def rigid_arm_functions(robot: Robot) -> dict[str, ca.Function]:

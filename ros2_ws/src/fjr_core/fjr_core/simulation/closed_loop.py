@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import FjrError, StateError, TrajectoryError
-from ..law.interfaces import SampledLaw, StaticLaw, check_law, raise_failure, ready_step
+from ..law.interfaces import SampledLaw, StaticLaw, check_law
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot, Units, joined
 from ..motions.reference import JETS, Reference, check_reference
@@ -76,7 +76,8 @@ def simulate(
     finally:
         if isinstance(plant, Plant):
             plant.raise_failure()
-        raise_failure(law)
+        if isinstance(law, SampledLaw):
+            law.raise_failure()
 
 
 def check_joints(plant: Robot, law: Robot, reference: Reference) -> None:
@@ -160,7 +161,7 @@ def _bound_law(plant: Plant, law: SampledLaw, x: Array, u: Array, V: Array) -> C
     if isinstance(law, StaticLaw):
         evaluate = bind(law.measured_function, measured, [u, V])
     else:
-        evaluate = bind(ready_step(law), [*measured, memory, sent, age], [u, V, after])
+        evaluate = bind(law.ready_step, [*measured, memory, sent, age], [u, V, after])
 
     def evaluate_law(jets: Array, dt: float) -> None:
         now[...], sent[...], age[...] = jets, u, dt

@@ -18,7 +18,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from ..law.interfaces import ARGUMENTS, SampledLaw, StaticLaw, raise_failure
+from ..law.interfaces import ARGUMENTS, SampledLaw, StaticLaw
 from ..law.linearized import Equilibria, Indices, feedback, plant_matrices, slope_at_rest
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
@@ -133,7 +133,7 @@ def _linearised(law: SampledLaw, equilibria: Equilibria, T: float) -> Controller
         measured = x[: 2 * n], np.zeros(2 * n), standing(x[:n]).T, gains
         at = [*measured, *_at_rest(step, measured, law.memory, u, T), T]
         blocks.append(np.split(_jacobian(step, at), [n]))
-    raise_failure(law)
+    law.raise_failure()
     of_u, of_next = (np.array(rows) for rows in zip(*blocks, strict=True))
     parts = [np.split(rows, [4 * n, 4 * n + m], axis=2) for rows in (of_u, of_next)]
     return _without_constant_states(Controller(*parts[0], *parts[1]))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import GainsError, StateError
 from ..law.gains import CheckedGains
-from ..law.interfaces import SampledLaw, StaticLaw, check_law, static_part
+from ..law.interfaces import SampledLaw, StaticLaw, check_law
 from ..law.linearized import Equilibria, Indices, equilibria_at, error_matrices, feedback, metric_roots, slope_at_rest
 from ..law.vdpbc import TrackingLaw
 from ..model.configuration_sampling import checked_configurations, sample_configurations
@@ -87,7 +87,7 @@ def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> Sam
 
 def loop_configurations(law: SampledLaw, configurations: ArrayLike | None) -> Array:
     """Return the given configurations, or sampled ones: fewer for a law without a closed form."""
-    few = None if isinstance(static_part(law), TrackingLaw) else OTHER_LAWS
+    few = None if isinstance(law.static, TrackingLaw) else OTHER_LAWS
     return checked_configurations(law.robot, configurations, few)
 
 

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import GainsError
-from fjr_core.law.interfaces import StaticLaw, step_symbols
+from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.lie_derivative import Flow, flow
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
@@ -88,7 +88,7 @@ class ObservedLaw(RobustLaw):
     def step_function(self) -> ca.Function:
         """SampledLaw.step_function."""
         law, packed = self.law, PackedVector(self.law.memory_sizes)
-        s = {name: ca.SX.sym(name, *symbol.shape) for name, symbol in step_symbols(self).items()}
+        s = {name: ca.SX.sym(name, *symbol.shape) for name, symbol in self.step_symbols().items()}
         s["gains"] = law.symbols.vector
         given = packed.named(s["memory"]), SimpleNamespace(**s), SimpleNamespace(**law.symbols.by_name)
         u, V, kept = law.observe(*given)

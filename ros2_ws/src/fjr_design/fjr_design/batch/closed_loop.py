@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import StateError
 from fjr_core.files.importing import source_digest
-from fjr_core.law.interfaces import SampledLaw, in_python, raise_failure, static_part
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import Reference
@@ -173,7 +173,7 @@ class ClosedLoop:
     @property
     def in_python(self) -> bool:
         """Return whether law or plant are evaluated in Python."""
-        return in_python(self.law) or self._plant_in_python
+        return self.law.in_python or self._plant_in_python
 
     @property
     def _plant_in_python(self) -> bool:
@@ -210,7 +210,7 @@ class ClosedLoop:
         """Return a hash that differs for programs whose results may differ."""
         functions = [self.law.step_function, *self._plant_expressions.values()]
         parts = [program_digest(), *(function.serialize() for function in functions)]
-        owners = (getattr(part, "own", None) for part in (static_part(self.law), self.plant))
+        owners = (getattr(part, "own", None) for part in (self.law.static, self.plant))
         parts += [source_digest(type(own)) for own in owners if own is not None]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
@@ -260,7 +260,7 @@ class ClosedLoop:
         _fill(ffi, batch, values)
         self._simulate(batch, draws.runs, model, followed, settings, plants, values)
         followed.raise_failure()
-        raise_failure(self.law)
+        self.law.raise_failure()
         if self.plant is not None:
             self.plant.raise_failure()
         return rows
@@ -368,7 +368,7 @@ def _segments(delay: Array, period: float, inner_steps: int) -> tuple[NDArray[np
 def _form(law: SampledLaw) -> str:
     """Return what laws share that differ in the values of their gains only: classes, sizes, prediction."""
     sizes = f"{len(law.gain_values)} gains and a controller state of {len(law.memory)}"
-    return f"a {type(static_part(law)).__name__} with {sizes}, evaluated {law.lead:g} s ahead"
+    return f"a {type(law.static).__name__} with {sizes}, evaluated {law.lead:g} s ahead"
 
 
 def plain_settings(n: int) -> Settings:

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.errors import StateError
-from fjr_core.law.interfaces import SampledLaw, StaticLaw, check_law, static_part
+from fjr_core.law.interfaces import SampledLaw, StaticLaw, check_law
 from fjr_core.law.linearized import Equilibria, Indices, equilibria_at, plant_matrices
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.port_hamiltonian import Plant
@@ -107,7 +107,7 @@ def check(
     q_l, plant, sensing = loop_configurations(law, configurations), plant or Plant(law.robot), sensing or Sensing()
     static = isinstance(law, StaticLaw)
     if len(q_l) > (FEW if static else 2 * WITH_STATE) and plant.robot.n == law.robot.n:
-        below, own = static_part(law), equilibria_at(law.robot, q_l)
+        below, own = law.static, equilibria_at(law.robot, q_l)
         if isinstance(below, TrackingLaw) and sensing.plain:
             everywhere = closed_form(own, below.gains, equilibria_at(plant.robot, q_l))
         else:
