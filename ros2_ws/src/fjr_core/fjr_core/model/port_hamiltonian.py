@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Protocol
 
 import casadi as ca
 from numpy.typing import ArrayLike
@@ -16,41 +15,7 @@ from ..numerics.integrators import INTEGRATORS, LONGEST_COPIED, step
 from ..numerics.jit import compiled
 from ..numerics.symbolic import dense_function, evaluate
 from . import springs
-from .rigid_arm import RigidArm
-from .robot import Robot
-from .springs import Springs
-
-
-class Elastic(Springs, Protocol):
-    """Robot parameters of eq. (36), numeric (Robot) or symbolic (fjr_design.batch.parametric_robot)."""
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-
-    @property
-    def links(self) -> RigidArm:
-        """Rigid arm on the link side."""
-
-    @property
-    def D_l(self) -> ca.SX:
-        """Link damping (n, n) [N m s/rad]."""
-
-    @property
-    def D_m(self) -> ca.SX:
-        """Motor damping (n, n) [N m s/rad]."""
-
-    @property
-    def B_m(self) -> ca.SX:
-        """Input matrix (n, n)."""
-
-    def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
-        """Return the velocities (dq_l, dq_m), (n,) each, at x (4n,)."""
-
-    def momentum_expressions(
-        self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX, links: RigidArm | None = None
-    ) -> tuple[ca.SX, ca.SX]:
-        """Return the momenta (p_l, p_m), (n,) each."""
+from .robot import Elastic, Robot
 
 
 def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -63,25 +28,19 @@ def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
     return J, R, G
 
 
-def gradient_expression(robot: Elastic, x: ca.SX, links: RigidArm | None = None, cubic: ca.SX | None = None) -> ca.SX:
-    """Return dH/dx (4n,); d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), eq. (22).
-
-    links: replaces the robot's rigid arm, e.g. with a payload. cubic (n,) [N m/rad^3]: stiffness beside
-    the cubic one of the robot.
-    """
-    links = links or robot.links
+def gradient_expression(robot: Elastic, x: ca.SX) -> ca.SX:
+    """Return dH/dx (4n,); d/dq_l (p_l' M_l^-1 p_l / 2) = E_l dq_l = -d/dq_l (dq_l' M_l dq_l / 2), eq. (22)."""
     q_l, q_m, _, _ = ca.vertsplit(x, robot.n)
-    dq_l, dq_m = robot.velocity_expressions(x, links)
-    spring = springs.torque(robot, q_m - q_l, cubic)
-    dH_dq_l = -links.grad_T(q_l, dq_l) + links.grad_P_l(q_l) - spring
+    dq_l, dq_m = robot.velocity_expressions(x)
+    spring = springs.torque(robot, q_m - q_l)
+    dH_dq_l = -robot.links.grad_T(q_l, dq_l) + robot.links.grad_P_l(q_l) - spring
     return ca.vertcat(dH_dq_l, spring, dq_l, dq_m)
 
 
-def derivative_expression(robot: Elastic, x: ca.SX, u: ca.SX, dH: ca.SX | None = None) -> ca.SX:
-    """Return dx/dt (4n,) of eq. (36) as an expression; dH (4n,): replaces the gradient of the robot."""
+def derivative_expression(robot: Elastic, x: ca.SX, u: ca.SX) -> ca.SX:
+    """Return dx/dt (4n,) of eq. (36) as an expression."""
     J, R, G = structure_expressions(robot)
-    dH = gradient_expression(robot, x) if dH is None else dH
-    return (J - R) @ dH + G @ u
+    return (J - R) @ gradient_expression(robot, x) + G @ u
 
 
 class Plant:

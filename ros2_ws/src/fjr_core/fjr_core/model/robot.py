@@ -22,8 +22,57 @@ from . import springs
 from .rigid_arm import ArmDynamics, RigidArm
 
 
+class Elastic:
+    """Parameters of eq. (36), as numbers (Robot) or as expressions (SymbolicRobot), and its terms as expressions.
+
+    Fields as in Robot. curves: CubicCurve or TorsionCurve of each joint (model.springs); none: straight springs. added
+    (n,) [N m/rad^3]: cubic stiffness beside the curves, None for none.
+    """
+
+    links: RigidArm
+    M_m: Any
+    M_m_inverse: Any
+    K: Any
+    curves: Any
+    D_l: Any
+    D_m: Any
+    B_m: Any
+    added: Any = None
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.M_m.shape[0])
+
+    def hamiltonian_expression(self, x: ca.SX) -> ca.SX:
+        """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eq. (35).
+
+        Springs with a curve store its integral (model.springs).
+        """
+        q_l, q_m, p_l, p_m = ca.vertsplit(x, self.n)
+        dq_l, dq_m = self.velocity_expressions(x)
+        return (ca.dot(p_l, dq_l) + ca.dot(p_m, dq_m)) / 2 + self.links.P_l(q_l) + springs.energy(self, q_m - q_l)
+
+    def velocity_expressions(self, x: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return (dq_l, dq_m) = (M_l^-1 p_l, M_m^-1 p_m) as expressions."""
+        q_l, _, p_l, p_m = ca.vertsplit(x, self.n)
+        return symbolic.solve(self.links.M_l(q_l), p_l), self.M_m_inverse @ p_m
+
+    def state_expression(self, position: ca.SX, velocity: ca.SX) -> ca.SX:
+        """Return x = (q_l, q_m, M_l dq_l, M_m dq_m) (4n,) at positions and velocities (2n,) as an expression."""
+        dq_l, dq_m = ca.vertsplit(velocity, self.n)
+        return ca.vertcat(position, self.links.M_l(position[: self.n]) @ dq_l, self.M_m @ dq_m)
+
+
+class SymbolicRobot(Elastic):
+    """A robot with some parameters replaced, by numbers or expressions."""
+
+    def __init__(self, robot: Elastic, **changed: Any) -> None:
+        vars(self).update({name: changed.get(name, getattr(robot, name)) for name in Elastic.__annotations__})
+
+
 @dataclass(frozen=True, eq=False)
-class Robot:
+class Robot(Elastic):
     """A flexible-joint robot of n joints, eq. (36).
 
     links: rigid arm on the link side. M_m: motor inertia reflected to the link side [kg m^2].
@@ -85,6 +134,11 @@ class Robot:
         """Number of joints."""
         return self.links.n
 
+    @cached_property
+    def M_m_inverse(self) -> ca.DM:
+        """Inverse of M_m."""
+        return ca.DM(np.linalg.inv(self.M_m))
+
     @property
     def units(self) -> tuple[Units, ...]:
         """Units of each joint's position, velocity, acceleration and effort."""
@@ -141,37 +195,11 @@ class Robot:
         """Return the deflection q_m - q_l (n,) [rad] of the springs under torques tau (n,) [N m]."""
         return ca.DM(springs.deflection(self, ca.DM(self._vector("tau", tau)))).full().ravel()
 
-    def hamiltonian_expression(self, x: ca.SX, links: RigidArm | None = None) -> ca.SX:
-        """Return H(x) = p_l' M_l^-1 p_l / 2 + p_m' M_m^-1 p_m / 2 + P_l + zeta' K zeta / 2, eq. (35).
-
-        Springs with a curve store its integral (model.springs).
-        links: replaces the rigid arm of the robot, e.g. with a payload.
-        """
-        q_l, q_m, p_l, p_m = ca.vertsplit(x, self.n)
-        dq_l, dq_m = self.velocity_expressions(x, links)
-        kinetic = (ca.dot(p_l, dq_l) + ca.dot(p_m, dq_m)) / 2
-        return kinetic + (links or self.links).P_l(q_l) + springs.energy(self, q_m - q_l)
-
-    def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
-        """Return (dq_l, dq_m) = (M_l^-1 p_l, M_m^-1 p_m) as expressions; links as in hamiltonian_expression."""
-        q_l, _, p_l, p_m = ca.vertsplit(x, self.n)
-        M_l = (links or self.links).M_l(q_l)
-        return symbolic.solve(M_l, p_l), ca.DM(np.linalg.inv(self.M_m)) @ p_m
-
-    def momentum_expressions(
-        self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX, links: RigidArm | None = None
-    ) -> tuple[ca.SX, ca.SX]:
-        """Return (p_l, p_m) = (M_l dq_l, M_m dq_m) as expressions; links as in hamiltonian_expression."""
-        return (links or self.links).M_l(q_l) @ dq_l, self.M_m @ dq_m
-
     @cached_property
     def to_state(self) -> ca.Function:
         """The CasADi function (position (q_l, q_m), velocity (dq_l, dq_m)), (2n,) each, -> state x (4n,)."""
-        n = self.n
-        s = symbols(position=2 * n, velocity=2 * n)
-        position, velocity = s.values()
-        momenta = self.momentum_expressions(position[:n], velocity[:n], velocity[n:])
-        return dense_function("to_state", s, {"x": ca.vertcat(position, *momenta)}, cse=True)
+        s = symbols(position=2 * self.n, velocity=2 * self.n)
+        return dense_function("to_state", s, {"x": self.state_expression(**s)}, cse=True)
 
     @cached_property
     def to_velocity(self) -> ca.Function:

@@ -13,7 +13,6 @@ All imperfections are arguments of one function, so that they can change while t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from types import SimpleNamespace
 
@@ -23,8 +22,9 @@ from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
 from ..model import springs
-from ..model.port_hamiltonian import Elastic, Plant, derivative_expression, gradient_expression
-from ..model.rigid_arm import PayloadArm, RigidArm
+from ..model.port_hamiltonian import Plant, derivative_expression
+from ..model.rigid_arm import PayloadArm
+from ..model.robot import Elastic, SymbolicRobot
 from ..numerics.checks import Array
 from ..numerics.integrators import step_expression
 from ..numerics.symbolic import PackedVector, dense_function, evaluate, sparse, symbols
@@ -91,31 +91,24 @@ class NonidealPlant:
         x, inputs = s.values()
         applied, external, sliders, parameters = ca.vertsplit(inputs, [0, n, 2 * n, 3 * n, inputs.numel()])
         p = self.named(parameters)
-        dx, *velocities = self._motion(x, applied, p)
-        dx += ca.vertcat(ca.DM.zeros(2 * n), *self._imperfect_torques(x[: 2 * n], velocities, external, sliders, p))
+        if self.plant.in_python:
+            dx, dq = self.plant.dynamics(x, applied), self.robot.to_velocity(x)
+        else:
+            dx = derivative_expression(self.robot_of(p), x, applied)
+            dq = dx[: 2 * n]
+        dx += ca.vertcat(ca.DM.zeros(2 * n), *self._imperfect_torques(x[: 2 * n], dq, external, sliders, p))
         return dense_function("nonideal_dynamics", s, {"dx": dx}, cse=True)
 
-    def _motion(self, x: ca.SX, applied: ca.SX, p: SimpleNamespace) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return dx/dt (4n,) without friction, ripple and external torques, and the velocities dq_l, dq_m (n,)."""
-        n = self.robot.n
-        if self.plant.in_python:
-            return self.plant.dynamics(x, applied), *ca.vertsplit(self.robot.to_velocity(x), n)
-        robot = self.robot_of(p)
-        dH = gradient_expression(robot, x, self.links_of(p), p.cubic)
-        _, _, dq_l, dq_m = ca.vertsplit(dH, n)
-        return derivative_expression(robot, x, applied, dH), dq_l, dq_m
-
     def _imperfect_torques(
-        self, q: ca.SX, velocities: Sequence[ca.SX], external: ca.SX, sliders: ca.SX, p: SimpleNamespace
+        self, q: ca.SX, dq: ca.SX, external: ca.SX, sliders: ca.SX, p: SimpleNamespace
     ) -> tuple[ca.SX, ca.SX]:
         """Return external torques, friction, hysteresis and ripple on links and motors (n,) each [N m].
 
-        q (2n,): positions; velocities: of links and motors (n,) each.
+        q, dq (2n,): positions and velocities of links and motors.
         """
-        q_l, q_m = ca.vertsplit(q, self.robot.n)
+        (q_l, q_m), (dq_l, dq_m) = ca.vertsplit(q, self.robot.n), ca.vertsplit(dq, self.robot.n)
         h = hysteresis(q_m - q_l, sliders, p)
-        load = ca.fabs(springs.torque(self.robot_of(p), q_m - q_l, p.cubic) + h)
-        dq_l, dq_m = velocities
+        load = ca.fabs(springs.torque(self.robot_of(p), q_m - q_l) + h)
         F_l = friction(dq_l, p.coulomb_l, p.static_l, p.stribeck_l, p.smoothing, p.load_l * load)
         F_m = friction(dq_m, p.coulomb_m, p.static_m, p.stribeck_m, p.smoothing, p.load_m * load)
         return external + h - F_l, p.ripple * ca.sin(p.ripple_periods * q_m + p.ripple_phase) - h - F_m
@@ -129,15 +122,13 @@ class NonidealPlant:
         """
         n, robot = self.robot.n, self.robot
         s = symbols(q=2 * n, dq=2 * n, a=n, u=n, external=n, sliders=n, parameters=self.layout.size, t=1)
-        p, velocities = self.named(s["parameters"]), ca.vertsplit(s["dq"], n)
-        on_l, on_m = self._imperfect_torques(s["q"], velocities, s["external"], s["sliders"], p)
+        p = self.named(s["parameters"])
+        on_l, on_m = self._imperfect_torques(s["q"], s["dq"], s["external"], s["sliders"], p)
         zeta = s["q"][n:] - s["q"][:n]
-        bend = springs.torque(robot, zeta, p.cubic) - ca.DM(np.diag(robot.K)) * zeta
+        bend = springs.torque(self.robot_of(p), zeta) - ca.DM(np.diag(robot.K)) * zeta
         D_l, D_m = (sparse(D - np.diag(np.diag(D))) for D in (robot.D_l, robot.D_m))
-        on_l += bend - D_l @ velocities[0]
-        on_m += (
-            sparse(robot.B_m) @ self._actuators(s["a"], s["u"], s["parameters"], s["t"]) - bend - D_m @ velocities[1]
-        )
+        on_l += bend - D_l @ s["dq"][:n]
+        on_m += sparse(robot.B_m) @ self._actuators(s["a"], s["u"], s["parameters"], s["t"]) - bend - D_m @ s["dq"][n:]
         return self.plant.ready(dense_function("joint_torques", s, {"torques": ca.vertcat(on_l, on_m)}, cse=True))
 
     @cached_property
@@ -196,22 +187,18 @@ class NonidealPlant:
         n = self.robot.n
         zeta, sliders = state[n : 2 * n] - state[:n], state[5 * n :]
         robot = self.robot_of(p)
-        velocities = ca.vertcat(*robot.velocity_expressions(state[: 4 * n], self.links_of(p)))
-        return velocities, springs.torque(robot, zeta, p.cubic) + hysteresis(zeta, sliders, p)
+        velocities = ca.vertcat(*robot.velocity_expressions(state[: 4 * n]))
+        return velocities, springs.torque(robot, zeta) + hysteresis(zeta, sliders, p)
 
     def named(self, parameters: ca.SX) -> SimpleNamespace:
         """Return the imperfections by name."""
         return self.layout.named(parameters)
 
     def robot_of(self, p: SimpleNamespace) -> Elastic:
-        """Return the robot with the parameters p, without imperfections."""
-        return self.robot
-
-    def links_of(self, p: SimpleNamespace) -> RigidArm:
-        """Return the links of the robot with the payload."""
-        links = self.robot.links
-        end_effector = links.end_effector
-        return links if end_effector is None else PayloadArm(links, end_effector, p.payload_mass, p.payload_position)
+        """Return the robot with the payload and the cubic stiffness of the parameters p."""
+        links, tip = self.robot.links, self.robot.links.end_effector
+        loaded = links if tip is None else PayloadArm(links, tip, p.payload_mass, p.payload_position)
+        return SymbolicRobot(self.robot, links=loaded, added=p.cubic)
 
     @cached_property
     def _actuators(self) -> ca.Function:
@@ -237,17 +224,13 @@ class NonidealPlant:
     @cached_property
     def _hamiltonian(self) -> ca.Function:
         s, p = self._symbols(x=4 * self.robot.n)
-        q_l, q_m, _, _ = ca.vertsplit(s["x"], self.robot.n)
-        H = self.robot.hamiltonian_expression(s["x"], self.links_of(p)) + ca.dot(p.cubic, (q_m - q_l) ** 4) / 4
-        return dense_function("nonideal_hamiltonian", s, {"H": H})
+        return dense_function("nonideal_hamiltonian", s, {"H": self.robot_of(p).hamiltonian_expression(s["x"])})
 
     @cached_property
     def _state(self) -> ca.Function:
-        n = self.robot.n
-        s, p = self._symbols(position=2 * n, velocity=2 * n)
-        position, velocity = s["position"], s["velocity"]
-        momenta = self.robot_of(p).momentum_expressions(position[:n], velocity[:n], velocity[n:], self.links_of(p))
-        return dense_function("nonideal_state", s, {"x": ca.vertcat(position, *momenta)})
+        s, p = self._symbols(position=2 * self.robot.n, velocity=2 * self.robot.n)
+        x = self.robot_of(p).state_expression(s["position"], s["velocity"])
+        return dense_function("nonideal_state", s, {"x": x})
 
 
 def friction(

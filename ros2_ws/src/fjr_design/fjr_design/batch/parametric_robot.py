@@ -16,10 +16,9 @@ import casadi as ca
 import numpy as np
 
 from fjr_core.errors import ParameterError
-from fjr_core.model.port_hamiltonian import Elastic, Plant
+from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.rigid_arm import PayloadArm, RigidArm
-from fjr_core.model.robot import Robot
-from fjr_core.model.springs import CubicCurve, TorsionCurve
+from fjr_core.model.robot import Elastic, Robot, SymbolicRobot
 from fjr_core.numerics import integrators, symbolic
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function
@@ -67,32 +66,6 @@ class ScaledLinks:
         return self.links.grad_T(q_l, self.root * v)
 
 
-@dataclass(frozen=True)
-class ScaledRobot:
-    """Robot with the drawn parameters in place of its own, as expressions."""
-
-    n: int
-    links: RigidArm
-    K: ca.SX
-    curves: tuple[CubicCurve | TorsionCurve, ...]
-    D_l: ca.SX
-    D_m: ca.SX
-    B_m: ca.SX
-    M_m: ca.SX
-    M_m_inverse: ca.SX
-
-    def velocity_expressions(self, x: ca.SX, links: RigidArm | None = None) -> tuple[ca.SX, ca.SX]:
-        """(dq_l, dq_m) = (M_l^-1 p_l, S^-1 M_m^-1 S^-1 p_m)."""
-        q_l, _, p_l, p_m = ca.vertsplit(x, self.n)
-        return symbolic.solve((links or self.links).M_l(q_l), p_l), self.M_m_inverse @ p_m
-
-    def momentum_expressions(
-        self, q_l: ca.SX, dq_l: ca.SX, dq_m: ca.SX, links: RigidArm | None = None
-    ) -> tuple[ca.SX, ca.SX]:
-        """(p_l, p_m) = (M_l dq_l, S M_m S dq_m)."""
-        return (links or self.links).M_l(q_l) @ dq_l, self.M_m @ dq_m
-
-
 def _both_sides(root: ca.SX, matrix: ca.SX) -> ca.SX:
     """Return S A S with the entries r_i A_ij r_j."""
     return matrix * (root @ root.T)
@@ -131,9 +104,9 @@ class ParametricPlant(NonidealPlant):
         if self.plant.in_python:
             return own
         M_m, inverse = symbolic.sparse(own.M_m), symbolic.sparse(np.linalg.inv(own.M_m))
-        return ScaledRobot(
-            n=own.n,
-            links=self.links_of(p),
+        return SymbolicRobot(
+            own,
+            links=self._links_of(p),
             K=_both_sides(p.stiffness, symbolic.sparse(own.K)),
             curves=tuple(of.scaled(p.stiffness[j] ** 2) for j, of in enumerate(own.curves)),
             D_l=_both_sides(p.link_damping, symbolic.sparse(own.D_l)),
@@ -141,13 +114,12 @@ class ParametricPlant(NonidealPlant):
             B_m=symbolic.sparse(own.B_m),
             M_m=_both_sides(p.motor_inertia, M_m),
             M_m_inverse=_both_sides(1 / p.motor_inertia, inverse),
+            added=p.cubic,
         )
 
-    def links_of(self, p: SimpleNamespace) -> RigidArm:
+    def _links_of(self, p: SimpleNamespace) -> RigidArm:
         """Return the links with the drawn factors and the payload."""
         links = self.robot.links
-        if self.plant.in_python:
-            return links
         if self._kind == PLAIN or links.end_effector is None:
             return ScaledLinks(links, p.link_inertia, p.gravity)
         bodies = ChangedLinks(links, {"link_mass": p.link_mass}) if has_bodies(links) else links
