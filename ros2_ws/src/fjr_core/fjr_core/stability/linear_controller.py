@@ -166,28 +166,23 @@ def _at_rest(step: ca.Function, measured: Sequence[Array], state: Array, u: Arra
     return state, u
 
 
-@lru_cache(maxsize=4)
-def _forward(step: ca.Function) -> ca.Function:
-    """Return directional derivatives of a step function; cached, since CasADi would build them again."""
-    return step.forward(DIRECTIONS)
-
-
 def _jacobian(step: ca.Function, at: list[Array]) -> Array:
     """Return the Jacobian (n + m, 5 n + m) of (u, next) in (position, velocity, memory, sent)."""
-    moved = [ARGUMENTS.index(name) for name in ("position", "velocity", "memory", "sent")]
-    sizes = [step.size1_in(i) for i in moved]
-    total = sum(sizes)
-    columns = -(-total // DIRECTIONS) * DIRECTIONS
-    seeds = dict(zip(moved, np.split(np.eye(total, columns), np.cumsum(sizes)[:-1]), strict=True))
-    forward, values, found = _forward(step), step(*at), []
-    for k in range(0, columns, DIRECTIONS):
-        part = [
-            seeds[i][:, k : k + DIRECTIONS] if i in moved else ca.DM(step.size1_in(i), step.size2_in(i) * DIRECTIONS)
-            for i in range(step.n_in())
-        ]
-        u, _, after = forward(*at, *values, *part)
-        found.append(np.vstack([u.full(), after.full()]))
-    return np.hstack(found)[:, :total]
+    slope = _slope(step)
+    total = slope.size1_in("along")
+    found = slope(*at, np.eye(total, -(-total // DIRECTIONS) * DIRECTIONS)).full()
+    return np.asarray(found[:, :total])
+
+
+@lru_cache(maxsize=4)
+def _slope(step: ca.Function) -> ca.Function:
+    """Build (arguments of the step, along (5 n + m, DIRECTIONS)) -> derivatives of (u, next) along these columns."""
+    s = dict(zip(ARGUMENTS, step.mx_in(), strict=True))
+    moved = ca.vertcat(*(s[name] for name in ("position", "velocity", "memory", "sent")))
+    u, _, after = step(*s.values())
+    along = ca.MX.sym("along", moved.numel(), DIRECTIONS)
+    derivatives = ca.densify(ca.jtimes(ca.vertcat(u, after), moved, along))
+    return ca.Function("slope", [*s.values(), along], [derivatives], [*s, "along"], ["derivatives"])
 
 
 def _behind_observer(law: Controller, equilibria: Equilibria, bandwidth: float, T: float) -> Controller:
