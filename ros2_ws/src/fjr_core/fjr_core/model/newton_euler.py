@@ -54,7 +54,6 @@ def _derived(content: bytes) -> ArmDynamics:
         M_l=ca.Function("M_l", named[:1], [chain.inertia()[order, order]]),
         P_l=ca.Function("P_l", named[:1], [chain.potential_energy()]),
         grad_P_l=ca.Function("grad_P_l", named[:1], [chain.gravity_torque()[order]]),
-        C=ca.Function("C", named[:3], [chain.inertial_torque(v, w, ca.SX.zeros(n))[order]]),
         inertial_torque=ca.Function("inertial_torque", named, [chain.inertial_torque(v, w, a)[order]]),
         grad_T=ca.Function("grad_T", named[:2], [chain.kinetic_gradient(v)[order]]),
         end_effector=EndEffector(ca.Function("position", [named[0], r], [point]), gravity),

@@ -41,8 +41,8 @@ class ArmDynamics:
     """Rigid-arm model of n joints; the fields are CasADi functions of symbols or numbers.
 
     M_l: q_l -> inertia (n, n) [kg m^2];  P_l: q_l -> potential energy [J];  grad_P_l: q_l -> (n,) [N m].
-    C: (q_l, v, w) -> C(q_l, v) w (n,), with the Christoffel symbols, so that dM_l - 2 C is skew-symmetric.
-    inertial_torque: (q_l, v, w, a) -> M_l(q_l) a + C(q_l, v) w (n,), by one recursion where there is one.
+    inertial_torque: (q_l, v, w, a) -> M_l(q_l) a + C(q_l, v) w (n,), by one recursion where there is one, with the
+    Christoffel symbols, so that dM_l - 2 C is skew-symmetric.
     grad_T: (q_l, v) -> d/dq_l (v' M_l v / 2) (n,), v constant.
     M_l_vertices: matrices whose convex hull contains M_l(q_l) for every q_l, or None if unknown. A rate that holds at
     the vertices holds everywhere, because its condition D_l + K_ld - beta M_l >= 0 is linear in M_l.
@@ -55,7 +55,6 @@ class ArmDynamics:
     M_l: ca.Function
     P_l: ca.Function
     grad_P_l: ca.Function
-    C: ca.Function
     inertial_torque: ca.Function
     grad_T: ca.Function
     M_l_vertices: tuple[Array, ...] | None = None
@@ -65,6 +64,10 @@ class ArmDynamics:
 
     def __repr__(self) -> str:
         return f"ArmDynamics({joints(self.n)})"
+
+    def C(self, q_l: ca.SX, v: ca.SX, w: ca.SX) -> ca.SX:
+        """Return the Coriolis product C(q_l, v) w (n,)."""
+        return self.inertial_torque(q_l, v, w, 0)
 
     @cached_property
     def dM(self) -> ca.Function:
@@ -122,7 +125,6 @@ def closed_form(
         M_l=ca.Function("M_l", [q_l], [ca.densify(M_l)]),
         P_l=ca.Function("P_l", [q_l], [P_l]),
         grad_P_l=ca.Function("grad_P_l", [q_l], [ca.gradient(P_l, q_l)]),
-        C=ca.Function("C", [q_l, v, w], [C_w]),
         inertial_torque=ca.Function("inertial_torque", [q_l, v, w, a], [M_l @ a + C_w]),
         grad_T=ca.Function("grad_T", [q_l, v], [ca.gradient(ca.dot(v, M_l @ v) / 2, q_l)]),
         M_l_vertices=vertices,

@@ -210,7 +210,7 @@ class Robot(Elastic):
 
     def fingerprint(self) -> bytes:
         """Return a digest of the equations of motion; equal for robots with the same equations."""
-        functions = ("M_l", "P_l", "grad_P_l", "C", "inertial_torque", "grad_T")
+        functions = ("M_l", "P_l", "grad_P_l", "inertial_torque", "grad_T")
         parts = [getattr(self.links, name).serialize() for name in functions]
         digest = hashlib.sha256("\n".join(parts).encode())
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
