@@ -133,7 +133,7 @@ def noise(tuned: Path) -> None:
         "both": replace(softer, K_md=STIFFER * np.asarray(given.K_md)),
         "[tuning rule](../compare.md#tuning-rule)": tune(
             "v_dpbc", baseline_target(study.scenario), retune=True
-        ).law.gains.matrices,
+        ).law.gains,
         "`fjr tune arm7_tune`": load_scenario(tuned).gains,
     }
     rows = [(name, *_noise(study, each)) for name, each in tqdm(gains.items(), desc="noise of arm7")]

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import partial
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -91,14 +90,10 @@ class CheckedGains(Gains):
 
     __repr__ = one_line
 
-    @property
-    def matrices(self) -> Gains:
-        """The gains without their rates."""
-        return Gains(**{each.name: getattr(self, each.name) for each in fields(Gains)})
-
     def arrays(self, _robot: Robot | None = None) -> dict[str, Array]:
         """Return the arrays of the law's equations by name: the matrices and the inverse of Pi_m."""
-        return {**vars(self.matrices), "Pi_m_inverse": np.linalg.inv(self.Pi_m)}
+        matrices = {each.name: getattr(self, each.name) for each in fields(Gains)}
+        return {**matrices, "Pi_m_inverse": np.linalg.inv(self.Pi_m)}
 
 
 PAPER_GAINS = Gains(Lambda_l=10.0, Pi_l=20.0, K_ld=0.6, Lambda_m=15.0, Pi_m=60.0, K_md=0.3)
@@ -146,18 +141,6 @@ def relative_eigenvalues(A: Array, B: Array) -> Array:
     """Return the eigenvalues (n,) of A v = lambda B v in ascending order; A symmetric, B positive definite."""
     L_inverse = np.linalg.inv(np.linalg.cholesky(B))
     return np.asarray(np.linalg.eigvalsh(L_inverse @ A @ L_inverse.T), dtype=float)
-
-
-class GainTerms(SimpleNamespace):
-    """Gain matrices (n, n) by the names of Gains, and Pi_m_inverse: CasADi constants or symbols."""
-
-    def phi_l(self, q_tilde_l: ca.SX) -> ca.SX:
-        """phi_l (n,) [rad/s] of eq. (31)."""
-        return self.Lambda_l @ q_tilde_l + self.Gamma_l @ q_tilde_l**3
-
-    def phi_m(self, q_tilde_m: ca.SX) -> ca.SX:
-        """phi_m (n,) [rad/s] of eq. (40)."""
-        return self.Lambda_m @ q_tilde_m + self.Gamma_m @ q_tilde_m**3
 
 
 class ArraySymbols:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Set
 from dataclasses import dataclass, fields
 from functools import cached_property
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -19,13 +20,13 @@ from ..numerics.checks import Array
 from ..numerics.jit import compiled_from_inputs
 from ..numerics.one_line import one_line
 from ..numerics.symbolic import dense_function, evaluate, symbols
-from .gains import Gains, GainTerms
+from .gains import Gains
 from .interfaces import StaticLaw
 from .lie_derivative import Flow, flow
 from .rate import Rate, rate
 
 
-def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.SX]:
+def law_expressions(flow: Flow, gains: SimpleNamespace, omega: ca.SX) -> dict[str, ca.SX]:
     """Return expressions of the fields of Evaluation, s_m and port_l: link stage, motor stage, storage.
 
     M_l, C_l and D_l are at the measured state, P_l and the spring at the virtual one. With v_lr = M_l^-1 p_lr and
@@ -34,6 +35,7 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     phi(zeta) = K zeta is the torque of the springs; where they harden (model.springs), q_md takes its inverse, and the
     coupling Pi_m^-1 S' s_l of (40), with s_l = M_l^-1 sigma_l, its secant S between q_mv - q_lv and q_md - q_lv, so
     that phi(q_mv - q_lv) = u_l + S qt_m.
+    gains: the arrays of CheckedGains.arrays, symbols or constants.
     omega (n,) [N m]: external input. The load torque on the links (Flow.load) is subtracted from u_l.
 
     Integral action against a disturbance torque d on the links (Flow.load, at x_v = x only) has the storage
@@ -51,7 +53,8 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     q_ld, dq_ld = flow.jets[:, 0], flow.jets[:, 1]
 
     q_tilde_l = q_lv - q_ld  # (30)
-    v_lr = dq_ld - gains.phi_l(q_tilde_l)  # (31)
+    phi_l = gains.Lambda_l @ q_tilde_l + gains.Gamma_l @ q_tilde_l**3
+    v_lr = dq_ld - phi_l  # (31)
     s_l = dq_lv - v_lr  # (30)
     sigma_l = flow.M_l @ s_l
     (dv_lr,) = flow.d(v_lr)
@@ -64,7 +67,8 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
     q_tilde_m = q_mv - q_md  # (39)
     port_l = s_l if action is None else s_l - flow.momentum_vjp(q_md, gains.Pi_m @ q_tilde_m)
     (dq_md,) = flow.d(q_md, integral=None if action is None else action.gain @ port_l)
-    v_mr = dq_md - gains.phi_m(q_tilde_m) - gains.Pi_m_inverse @ S.T @ s_l  # (40)
+    phi_m = gains.Lambda_m @ q_tilde_m + gains.Gamma_m @ q_tilde_m**3
+    v_mr = dq_md - phi_m - gains.Pi_m_inverse @ S.T @ s_l  # (40)
     s_m = dq_mv - v_mr  # (39)
     sigma_m = M_m @ s_m
     port_l = port_l if action is None else port_l - flow.momentum_vjp(v_mr, sigma_m)
@@ -79,8 +83,8 @@ def law_expressions(flow: Flow, gains: GainTerms, omega: ca.SX) -> dict[str, ca.
 
     V_l = (ca.dot(q_tilde_l, gains.Pi_l @ q_tilde_l) + ca.dot(s_l, sigma_l)) / 2  # (46), integrated
     V_m = (ca.dot(q_tilde_m, gains.Pi_m @ q_tilde_m) + ca.dot(s_m, sigma_m)) / 2  # (48), integrated
-    dissipation_l = ca.dot(q_tilde_l, gains.Pi_l @ gains.phi_l(q_tilde_l)) + ca.dot(s_l, (D_l + gains.K_ld) @ s_l)
-    dissipation_m = ca.dot(q_tilde_m, gains.Pi_m @ gains.phi_m(q_tilde_m)) + ca.dot(s_m, (D_m + gains.K_md) @ s_m)
+    dissipation_l = ca.dot(q_tilde_l, gains.Pi_l @ phi_l) + ca.dot(s_l, (D_l + gains.K_ld) @ s_l)
+    dissipation_m = ca.dot(q_tilde_m, gains.Pi_m @ phi_m) + ca.dot(s_m, (D_m + gains.K_md) @ s_m)
     dissipation = dissipation_l + dissipation_m  # -dV/dt for omega = 0
     return {
         "u": u,
@@ -179,7 +183,7 @@ class TrackingLaw(StaticLaw):
         """
         f = flow(self.robot, diagonal=True) if f is None else f
         omega = ca.SX.zeros(self.robot.n) if omega is None else omega
-        outputs = law_expressions(f, GainTerms(**self.symbols.by_name), omega)
+        outputs = law_expressions(f, SimpleNamespace(**self.symbols.by_name), omega)
         if slope:
             outputs["slope"] = f.gradient(outputs["V"])
         return self.at_measured(f, outputs)
@@ -206,7 +210,7 @@ class TrackingLaw(StaticLaw):
     def _function(self, name: str, names: Set[str]) -> ca.Function:
         """Build (x_v, x, jets, omega) -> the outputs named; compiled if requested."""
         s, f = symbols(x_v=4 * self.robot.n, x=4 * self.robot.n, omega=self.robot.n), flow(self.robot)
-        gains = GainTerms(**{key: ca.sparsify(ca.DM(array)) for key, array in self.gains.arrays().items()})
+        gains = SimpleNamespace(**{key: ca.sparsify(ca.DM(array)) for key, array in self.gains.arrays().items()})
         outputs = {key: value for key, value in law_expressions(f, gains, s["omega"]).items() if key in names}
         values = f.at(s["x_v"], s["x"], *outputs.values())
         inputs = {"x_v": s["x_v"], "x": s["x"], "jets": f.jets, "omega": s["omega"]}

@@ -100,7 +100,7 @@ def coordinates(scenario: Scenario, start: str = SCENARIO) -> SearchCoordinates:
 def _v_dpbc(scenario: Scenario, start: str) -> tuple[dict[str, Any], list[Coordinate]]:
     gains = scenario.gains
     if start == RULE:
-        gains = tune(V_DPBC, baseline_target(scenario), retune=True).law.gains.matrices
+        gains = tune(V_DPBC, baseline_target(scenario), retune=True).law.gains
     given = gain_values(gains, scenario.robot.n)
     scaled = [f"gains.{gain}" for gain in law_kind(V_DPBC).scaled]
     return {name: tuple(given[name]) for name in scaled}, [Coordinate(name) for name in scaled]
