@@ -21,7 +21,7 @@ from ..numerics import checks
 from ..numerics.checks import Array
 from ..numerics.integrators import INNER_STEP, rk4_expression
 from ..numerics.one_line import brief, joints, span
-from ..numerics.symbolic import NumericFunction, bind, dense_function, not_converged
+from ..numerics.symbolic import NumericFunction, bind, dense_function, evaluate_rows, not_converged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -185,12 +185,10 @@ def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t
         found = run.x[k + 1 : k + 1 + count] = states.reshape(count, -1)
         if not np.isfinite(found).all():
             raise _diverged(t[k + 1 + int(np.argmin(np.isfinite(found).all(axis=1)))])
-    x, u, V = np.zeros_like(x0), np.zeros(plant.robot.n), np.zeros(1)
-    evaluate_law = _bound_law(plant, law, x, u, V)
-    for k in range(len(t)):
-        x[...] = run.x[k]
-        evaluate_law(run.jets[k], dt)
-        run.u[k], run.V[k] = u, V[0]
+    (velocity,) = evaluate_rows(plant.robot.to_velocity, run.x)
+    measured = run.x[:, : velocity.shape[1]], velocity, run.jets
+    run.u[:], V = evaluate_rows(law.measured_function, *measured, np.tile(law.gain_values, (len(t), 1)))
+    run.V[:] = V[:, 0]
     return run
 
 
