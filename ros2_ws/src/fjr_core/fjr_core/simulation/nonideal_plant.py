@@ -69,13 +69,6 @@ class NonidealPlant:
         velocity, spring = evaluate(self._measure, state, parameters)
         return velocity, spring
 
-    def hamiltonian(self, x: ArrayLike, parameters: ArrayLike) -> float:
-        """Return the energy [J] at x (4n,), with the payload and the cubic part of the springs.
-
-        A Maxwell element stores h^2 slip / (2 hysteresis) more.
-        """
-        return float(evaluate(self._hamiltonian, x, parameters)[0][0])
-
     def state(self, position: ArrayLike, velocity: ArrayLike, parameters: ArrayLike) -> Array:
         """Return x (4n,) from positions and velocities (2n,) of links and motors, with the momenta of the payload."""
         return evaluate(self._state, position, velocity, parameters)[0]
@@ -220,11 +213,6 @@ class NonidealPlant:
         s, p = self._symbols(state=6 * self.robot.n)
         velocities, torques = self._measured(s["state"], p)
         return dense_function("measure", s, {"velocities": velocities, "springs": torques})
-
-    @cached_property
-    def _hamiltonian(self) -> ca.Function:
-        s, p = self._symbols(x=4 * self.robot.n)
-        return dense_function("nonideal_hamiltonian", s, {"H": self.robot_of(p).hamiltonian_expression(s["x"])})
 
     @cached_property
     def _state(self) -> ca.Function:
