@@ -45,7 +45,7 @@ class CheckError(FjrError, AssertionError):
 def check_law(law: Any, robot: Robot | None = None, states: int = 64, seed: int = 0) -> tuple[str, ...]:
     """Check a law at random states and references; return a sentence for each property that holds.
 
-    law: an object with the members of extensions.python_code.OwnLaw, or a StaticLaw. robot: default law.robot.
+    law: an object as extensions.python_code.PythonLaw takes it, or a StaticLaw. robot: default law.robot.
     Checked: u (n,) is finite, and V of a law with a storage 0 or more; the result depends on the arguments only, which
     are not changed; dV/dt <= -2 rate V along the closed loop with the robot, if the law has a rate.
     Raises CheckError with one sentence for each fault, and ParameterError without a robot.
@@ -67,7 +67,7 @@ def check_law(law: Any, robot: Robot | None = None, states: int = 64, seed: int 
 def check_plant(plant: Any, robot: Robot | None = None, states: int = 64, seed: int = 0) -> tuple[str, ...]:
     """Check a plant at random states and efforts; return a sentence for each property that holds.
 
-    plant: an object with the members of extensions.python_code.OwnPlant, or a Plant. robot: default plant.robot.
+    plant: an object as extensions.python_code.PythonPlant takes it, or a Plant. robot: default plant.robot.
     Checked: dx (4n,) is finite; it depends on the arguments only, which are not changed; its first 2n entries are the
     velocities of x; dH/dt <= u' B_m' dq_m if the plant has a hamiltonian: it creates no energy.
     Raises CheckError with one sentence for each fault, and ParameterError without a robot.

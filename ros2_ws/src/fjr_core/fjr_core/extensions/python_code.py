@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -134,23 +134,14 @@ def _dense(shape: tuple[int, ...]) -> ca.Sparsity:
     return ca.Sparsity.dense(rows, columns)
 
 
-class OwnPlant(Protocol):
-    """What a class of the user offers; its constructor takes (robot, **options), options with defaults.
+class PythonPlant(Plant):
+    """A plant of the user: dx/dt = own.derivative(x, u) (4n,), with the Runge-Kutta step of order 4; not compiled.
 
     x (4n,) = (q_l, q_m, p_l, p_m), with the momenta p_l = M_l(q_l) dq_l, p_m = M_m dq_m of `robot`; u (n,) [N m]. The
-    arrays are read-only. `derivative` is a pure function: its result depends on the arguments only.
-    Optional: hamiltonian(x) [J], an energy with dH/dt <= u' B_m' dq_m: the plant creates no energy.
-    """
-
-    def derivative(self, x: Array, u: Array) -> Array:
-        """Return dx/dt (4n,)."""
-
-
-class PythonPlant(Plant):
-    """An OwnPlant as a Plant: dx/dt = own.derivative(x, u), with the Runge-Kutta step of order 4; not compiled.
-
+    arrays are read-only. `derivative` is a pure function: its result depends on the arguments only. own may have
+    hamiltonian(x) [J], an energy with dH/dt <= u' B_m' dq_m: the plant creates no energy.
     A state after a failed evaluation is nan; `raise_failure` then raises UserCodeError. gradient and structure are
-    those of the robot, eq. (36). Raises ParameterError if `own` is no OwnPlant and for another integrator, and
+    those of the robot, eq. (36). Raises ParameterError if `own` has no such method and for another integrator, and
     UserCodeError if it fails, is not finite at rest at 0, or has a memory.
     """
 
@@ -205,25 +196,16 @@ def own_plant(name: str, robot: Robot, options: Mapping[str, Any], integrator: s
     return PythonPlant(importing.build(name, robot, options), robot, integrator)
 
 
-class OwnLaw(Protocol):
-    """What a class of the user offers; its constructor takes (robot, **options), options with defaults.
+class PythonLaw(StaticLaw):
+    """A law of the user: u = own.effort(position, velocity, jets) (n,) [N m]; not compiled.
 
     position (q_l, q_m) [rad], velocity (dq_l, dq_m) [rad/s]: (2n,) each, measured. jets (5, n): q_ld .. d4q_ld. The
     arrays are read-only. `effort` is a pure function: its result depends on the arguments only.
-    Optional members: storage(position, velocity, jets) -> V [J], 0 or more. rate [1/s]: the claim
-    dV/dt <= -2 rate V along the closed loop with `robot`. hold_damping (n, n) [N m s/rad]: motor damping of the stop
-    policy gravity_hold.
-    """
-
-    def effort(self, position: Array, velocity: Array, jets: Array) -> Array:
-        """Return the effort u (n,) [N m]."""
-
-
-class PythonLaw(StaticLaw):
-    """An OwnLaw as a StaticLaw; V is nan if it has no storage. It is not compiled.
-
+    own may have storage(position, velocity, jets) -> V [J], 0 or more, without which V is nan; rate [1/s], the claim
+    dV/dt <= -2 rate V along the closed loop with `robot`; hold_damping (n, n) [N m s/rad], the motor damping of the
+    stop policy gravity_hold.
     An effort of a failed evaluation is nan; `raise_failure` then raises UserCodeError. Raises ParameterError if `own`
-    is no OwnLaw, and UserCodeError if it fails, is not finite at rest at 0, or has a memory.
+    has no such method, and UserCodeError if it fails, is not finite at rest at 0, or has a memory.
     """
 
     in_python = True
