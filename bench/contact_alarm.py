@@ -28,7 +28,7 @@ from bench.figures import markdown, put
 from fjr_core.config.controller import contact_observer
 from fjr_core.config.scenario import Scenario
 from fjr_core.model.newton_euler import ChainAt, Mass, mass_of
-from fjr_core.monitoring.external_torque import STICKING
+from fjr_core.monitoring.external_torque import STICKING, TorqueObserverStruct
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
 from fjr_core.numerics.symbolic import bind, dense_function, symbols
@@ -136,7 +136,8 @@ class Watch:
 
     def __init__(self, study: Study) -> None:
         ffi, n = study.library.ffi, study.n
-        self._ffi, self._watch, self._held = ffi, study.library.lib.fjr_watch_torque, study.observer.struct(ffi)
+        self._ffi, self._watch = ffi, study.library.lib.fjr_watch_torque
+        self._held = TorqueObserverStruct(ffi, study.observer)
         self._o, self._c = self._held.pointer, ffi.new("struct fjr_contact*")
         self._threshold = np.frombuffer(ffi.buffer(self._o.compared))[n:]
         self._estimates = np.frombuffer(ffi.buffer(self._o.kept + 2 * n * (1 + self._o.errors), 8 * n))

@@ -19,6 +19,7 @@ from fjr_core.monitoring.external_torque import (
     ContactObserver,
     ExternalTorqueObserver,
     StatedErrors,
+    TorqueObserverStruct,
 )
 from fjr_core.runtime.library import step_library
 
@@ -52,7 +53,7 @@ class Watch:
 
     def __init__(self, period: int = 2**62, **given: Any) -> None:
         self.lib = step_library(2)
-        self.held = ContactObserver(robot(np.zeros(10)), L, ERRORS).struct(self.lib.ffi)
+        self.held = TorqueObserverStruct(self.lib.ffi, ContactObserver(robot(np.zeros(10)), L, ERRORS))
         self.o, self.contact = self.held.pointer, self.lib.ffi.new("struct fjr_contact*")
         self.o.period = period
         for name, value in given.items():

@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 from fjr_core import FjrError, Measurement
 from fjr_core.config.controller import auxiliary_period, contact_observer
 from fjr_core.config.process import NATIVE, process_settings
+from fjr_core.monitoring.external_torque import TorqueObserverStruct
 from fjr_core.runtime.control_step import Command, ControlStep
 from fjr_core.runtime.events import STATES, State, joints_of
 from fjr_core.runtime.measurement_model import JointSample
@@ -83,7 +84,7 @@ class CommandLoop:
             "torque": NativeMessage(program, joint_state(joints, efforts), efforts),
             "contact": NativeMessage(program, joint_state(names.contact_names(joints), (0, 0, 2 * n)), (0, 0, 2 * n)),
         }
-        self._observer = contact_observer(node.values, step.law.robot).struct(program.ffi)
+        self._observer = TorqueObserverStruct(program.ffi, contact_observer(node.values, step.law.robot))
         self._refusals, self._ring = Refusals(program, reader, reports), Ring(program, "struct fjr_record", RECORDS)
         shared = {"model": step.model, "controller": self._controller, "copy": step.controller}
         given = {

@@ -34,7 +34,7 @@ from ..numerics.one_line import brief, one_line
 from ..numerics.parameter_field import VECTOR, parameter_field
 from ..numerics.symbolic import PackedVector, dense_function, symbols
 from ..robust.disturbance_observer import momenta, next_residual
-from ..runtime.library import TorqueObserverStruct
+from ..runtime.library import CFunction, WorkSpace
 from ..runtime.velocity_observer import LONGEST_GAP
 from ..simulation.deviations import ChangedLinks, has_bodies
 from ..simulation.imperfections import freeze_within_ranges
@@ -203,11 +203,6 @@ class ContactObserver(ExternalTorqueObserver):
         """Square of the Mahalanobis distance beyond which there is contact."""
         return chi_squared_quantile(self.robot.n, WRONG / DAY)
 
-    def struct(self, ffi: Any) -> TorqueObserverStruct:
-        """Return the observer for C; ffi: with the types of step.h."""
-        noise, period = np.asarray(self.errors.torque_noise), LEARNING_PERIOD / self.bandwidth
-        return TorqueObserverStruct(ffi, self.function, self.bandwidth, noise, self.limit, period, DRIFT)
-
     @cached_property
     def momenta(self) -> ca.Function:
         """The function (position, velocity) -> p_l and dp_l/dt - tau (n (1 + m),), with derivatives by columns."""
@@ -229,3 +224,23 @@ class ContactObserver(ExternalTorqueObserver):
         nominal = ca.substitute(ca.vertcat(p, f), theta, 0)
         outputs = {"p": ca.horzcat(nominal[:n], by[:n, :]), "f": ca.horzcat(nominal[n:], by[n:, :])}
         return dense_function("contact_momenta", s, {name: ca.vec(each) for name, each in outputs.items()}, cse=True)
+
+
+class TorqueObserverStruct:
+    """A ContactObserver for C; `pointer` is a struct fjr_torque_observer*, valid as long as this object lives.
+
+    ffi: with the types of step.h.
+    """
+
+    def __init__(self, ffi: Any, observer: ContactObserver) -> None:
+        self._held, self._work = CFunction(ffi, observer.function), WorkSpace(ffi, [observer.function])
+        errors, size = len(observer.errors.deviations), observer.function.nnz_in(0)
+        period, noise = LEARNING_PERIOD / observer.bandwidth, np.asarray(observer.errors.torque_noise)
+        start = np.full(size, np.nan)
+        arrays = {"kept": start, "next": start, "d": np.zeros(errors), "P": np.eye(errors), "W": np.zeros(errors)}
+        self.arrays = {name: ffi.new("double[]", each.ravel().tolist()) for name, each in arrays.items()}
+        numbers = {"bandwidth": observer.bandwidth, "errors": errors, "limit": observer.limit}
+        timing = {"period": round(period * 1e9), "stay": float(np.exp(-period / DRIFT))}
+        given = {"update": self._held.pointer, "noise": (noise**2).tolist(), **numbers, **timing, **self.arrays}
+        self.pointer = ffi.new("struct fjr_torque_observer *", given)
+        self._work.lend(self.pointer)

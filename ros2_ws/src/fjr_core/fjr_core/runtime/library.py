@@ -257,30 +257,6 @@ def write_robot(model: Any, robot: Robot) -> None:
             getattr(model, name)[0 : len(values)] = values.tolist()
 
 
-class TorqueObserverStruct:
-    """An observer of external torques; `pointer` is a struct fjr_torque_observer*, valid as long as this object lives.
-
-    ffi: with the types of step.h. function: of a ContactObserver. bandwidth [1/s]. noise (n,) [N m]: its deviations.
-    limit: of the square of the Mahalanobis distance. period [s]: between two updates of the errors of the model, which
-    drift within `drift` [s].
-    """
-
-    def __init__(
-        self, ffi: Any, function: ca.Function, bandwidth: float, noise: Array, limit: float, period: float, drift: float
-    ) -> None:
-        self._held, self._work = CFunction(ffi, function), WorkSpace(ffi, [function])
-        errors = function.nnz_in(0) // (3 * len(noise)) - 1
-        start = np.full(function.nnz_in(0), np.nan)
-        arrays = {"kept": start, "next": start, "d": np.zeros(errors), "P": np.eye(errors), "W": np.zeros(errors)}
-        self.arrays = {name: ffi.new("double[]", each.ravel().tolist()) for name, each in arrays.items()}
-        given = {"update": self._held.pointer, "bandwidth": bandwidth, "errors": errors, "limit": limit}
-        timing = {"period": round(period * 1e9), "stay": float(np.exp(-period / drift))}
-        self.pointer = ffi.new(
-            "struct fjr_torque_observer *", {**given, **timing, "noise": (noise**2).tolist(), **self.arrays}
-        )
-        self._work.lend(self.pointer)
-
-
 class CertificateStruct:
     """The certificate of a law; `pointer` is a struct fjr_certificate*, valid as long as this object lives.
 
