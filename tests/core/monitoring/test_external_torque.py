@@ -18,16 +18,6 @@ L = 40.0  # 1/s
 arms = pytest.mark.parametrize("arm", [*ARMS, *HARD, *TORSION, arm7()], ids=lambda arm: arm.name)
 
 
-def bent(arm: Arm, tau: Array) -> Array:
-    """Return the deflections (n,) at which the springs carry tau (n,) [N m]."""
-    if arm.torsion is not None:
-        return arm.torsion.each(lambda j, t: arm.torsion.deflection(j, t, np), tau)
-    if not arm.cubic.any():
-        return np.linalg.solve(arm.K, tau)
-    cubes = zip(arm.cubic, np.diag(arm.K), tau, strict=True)
-    return np.array([next(z.real for z in np.roots([c, 0, K, -t]) if abs(z.imag) < 1e-9) for c, K, t in cubes])
-
-
 def pushed(t: Array, n: int, size: float) -> tuple[Array, Array]:
     """Return torques (k, n) that begin smoothly, and the same through the low-pass from rest, in closed form."""
     a, w, t = size * np.linspace(1.0, -0.5, n), np.linspace(4.0, 9.0, n), t[:, None]
@@ -44,7 +34,7 @@ def motion(arm: Arm, t: Array, tau: Array) -> tuple[Array, Array]:
     q_m = []
     for k in range(len(t)):
         M, C, weight = arm.links.M(q[k]), arm.links.C(q[k], dq[k]), arm.links.grad_P(q[k])
-        q_m.append(q[k] + bent(arm, M @ ddq[k] + C @ dq[k] + arm.D_l @ dq[k] + weight - tau[k]))
+        q_m.append(q[k] + arm.robot.deflection(M @ ddq[k] + C @ dq[k] + arm.D_l @ dq[k] + weight - tau[k]))
     return np.hstack([q, q_m]), np.hstack([dq, rng.normal(size=dq.shape)])  # velocities of motors do not matter
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.oracles.cases import Torsion
+from fjr_core.model import springs
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import SENTENCES, Finding
@@ -223,25 +223,14 @@ def _motors(robot: Robot, window: Window, means: _Means, constant: Array) -> _Pa
 
 def _spring(robot: Robot, means: _Means) -> Array:
     """Return the torque of the springs in the intervals (m - 1, n) [N m]."""
-    zeta = means.q[:, robot.n :] - means.q[:, : robot.n]
-    if robot.torsion is not None:
-        curves = Torsion(np.diag(robot.K), robot.torsion)
-        return np.array([curves.each(curves.torque, each) for each in zeta])
-    return np.asarray(zeta @ robot.K + (0.0 if robot.cubic is None else robot.cubic) * zeta**3)
+    return springs.torques(robot, means.q[:, robot.n :] - means.q[:, : robot.n])
 
 
 def _spring_noise(robot: Robot, means: _Means) -> Array:
     """Return the variance (n,) of the noise of the springs' torque [N^2 m^2]."""
-    if robot.curve:
-        middle = means.q[len(means.q) // 2]
-        zeta = middle[robot.n :] - middle[: robot.n]
-        if robot.cubic is not None:
-            tangent = np.diag(robot.K) + 3 * robot.cubic * zeta**2
-        else:
-            curves = Torsion(np.diag(robot.K), robot.torsion)
-            tangent = curves.each(curves.tangent, zeta)
-        return np.asarray(tangent**2 * (means.position[: robot.n] + means.position[robot.n :]))
-    return np.asarray(robot.K**2 @ (means.position[: robot.n] + means.position[robot.n :]))
+    middle = means.q[len(means.q) // 2]
+    (harder,) = springs.hardening(robot, (middle[robot.n :] - middle[: robot.n])[None])
+    return np.asarray((robot.K * harder[:, None]) ** 2 @ (means.position[: robot.n] + means.position[robot.n :]))
 
 
 def _weights(robot: Robot, q_l: Array) -> Array:

@@ -17,7 +17,7 @@ from core.oracles.cases import ARMS, TORSION, linear
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import StateError
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
-from fjr_core.law.interfaces import StaticLaw
+from fjr_core.law.interfaces import SampledLaw, StaticLaw
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.integral_action import IntegralAction, gain_values
 from fjr_core.robust.law import Robust, RobustLaw, loaded_by_springs, loaded_expression, sampled_law
@@ -132,26 +132,30 @@ def test_integral_gains_are_symmetric_and_positive_definite(name: str) -> None:
 # --- the residual
 
 
-def residual_run(law: fjr.TrackingLaw, gain: float, period: float, seconds: float) -> tuple[Any, Any]:
-    """Return residuals r (k, 2n) and feedforward torques w (k, n) [N m] under constant torques on links and motors."""
-    n, robot = law.robot.n, pushed(law.robot, 0.3)
-    step = RobustLaw(law, Robust(residual_gain=gain, motor_residual_gain=gain))
-    plant, parts = fjr.Plant(robot), step._memory
-    x = robot.state(np.full(n, 0.4), np.full(n, 0.4), np.zeros(n), np.zeros(n))
-    memory, sent, r, w = step.memory, np.zeros(n), [], []
+def sampled_run(
+    law: SampledLaw, robot: fjr.Robot, x: np.ndarray, jets: np.ndarray, seconds: float, period: float, push: Any
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return states, efforts and controller states (k, .) of a sampled law under torques (n,) on the motors."""
+    memory, sent, rows, plant = law.memory, np.zeros(robot.n), [], fjr.Plant(robot)
     for k in range(round(seconds / period)):
-        velocity, jets = np.concatenate(robot.velocities(x)), np.zeros((5, n))
-        u, _, memory = step.step_function(
-            x[: 2 * n], velocity, jets.T, step.gain_values, memory, sent, period if k else 0.0
-        )
-        sent = u.full().ravel()
-        kept = ca.Function("kept", [s := ca.MX.sym("s", parts.size)], [parts.unpack(s)[name] for name in ("r", "w")])
-        now = kept(memory)
-        r.append(now[0].full().ravel())
-        w.append(now[1].full().ravel())
+        velocity, dt = np.concatenate(robot.velocities(x)), period if k else 0.0
+        found = law.step_function(x[: 2 * robot.n], velocity, jets.T, law.gain_values, memory, sent, dt)
+        sent, _, memory = (each.full().ravel() for each in found)
+        rows.append((x, sent, memory))
         for _ in range(10):
-            x = plant.step(x, sent + np.linalg.solve(law.robot.B_m, np.full(n, 0.2)), period / 10)
-    return np.array(r), np.array(w)
+            x = plant.step(x, sent + np.linalg.solve(robot.B_m, push), period / 10)
+    states, efforts, memories = map(np.array, zip(*rows, strict=True))
+    return states, efforts, memories
+
+
+def residual_run(law: fjr.TrackingLaw, gain: float, period: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals r (k, 2n) and feedforward torques w (k, n) [N m] under constant torques on links and motors."""
+    n, robot, step = law.robot.n, law.robot, RobustLaw(law, Robust(residual_gain=gain, motor_residual_gain=gain))
+    x = robot.state(np.full(n, 0.4), np.full(n, 0.4), np.zeros(n), np.zeros(n))
+    *_, memory = sampled_run(step, pushed(robot, 0.3), x, np.zeros((5, n)), seconds, period, np.full(n, 0.2))
+    parts = step._memory.sizes
+    kept = dict(zip(parts, np.split(memory, np.cumsum([*parts.values()])[:-1], axis=1), strict=True))
+    return kept["r"], kept["w"]
 
 
 @pytest.mark.parametrize("name", LOOPS)

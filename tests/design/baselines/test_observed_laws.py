@@ -11,9 +11,9 @@ from scipy import signal
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, PLANAR, Arm, Array, random_point
-from core.oracles.plain_loop import STIFF, PlainLoop, standard_law
+from core.oracles.plain_loop import STIFF, PlainLoop, constant_jets, standard_law
 from core.oracles.properties import residual
-from core.robust.test_robust import pushed
+from core.robust.test_robust import pushed, sampled_run
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.law.linearized import equilibria_at, slope_at_rest
@@ -56,20 +56,9 @@ def run(law: SampledLaw, arm: Arm, seconds: float, push: Any = 0.0, period: floa
     """Return e about a constant reference, u and memory, (k, n) each, under torques push (2n,) of links and motors."""
     n, q_d, robot = arm.n, np.full(arm.n, 0.4), arm.robot
     d_l, d_m = np.split(np.broadcast_to(np.asarray(push, dtype=float), 2 * n), 2)
-    plant, jets = fjr.Plant(pushed(robot, d_l)), np.zeros((5, n))
-    jets[0] = q_d
     x = robot.state(q_d, q_d + np.linalg.solve(robot.K, robot.grad_P_l(q_d)), np.zeros(n), np.zeros(n))
-    memory, sent, found = law.memory, np.zeros(n), []
-    for k in range(round(seconds / period)):
-        velocity = np.concatenate(robot.velocities(x))
-        u, _, after = law.step_function(
-            x[: 2 * n], velocity, jets.T, law.gain_values, memory, sent, period if k else 0.0
-        )
-        memory, sent = after.full().ravel(), u.full().ravel()
-        found.append((x[:n] - q_d, x[n : 2 * n], sent, memory))
-        for _ in range(10):
-            x = plant.step(x, sent + np.linalg.solve(robot.B_m, d_m), period / 10)
-    return dict(zip(("e", "theta", "u", "memory"), map(np.array, zip(*found, strict=True)), strict=True))
+    states, u, memory = sampled_run(law, pushed(robot, d_l), x, constant_jets(q_d), seconds, period, d_m)
+    return {"e": states[:, :n] - q_d, "theta": states[:, n : 2 * n], "u": u, "memory": memory}
 
 
 @arms
