@@ -22,7 +22,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.motions.domain import GOAL, MOST_BOXES, Domain, joint_range
 from fjr_core.numerics.checks import Array
 
-from .verification.inertia_bounds import ProofBox, ProvableArm, RelativeInertia, Watch, unwatched
+from .verification.inertia_bounds import ProofBox, RelativeInertia, Watch, largest_inertia, unwatched
 
 FORMAT = "rate certificate 1"
 MARGIN = 1e-5
@@ -54,9 +54,9 @@ def proof_of_rate(
 
     samples (k, n) [rad, m]: configurations of small rates, if known. watch: see verification.inertia_bounds.
     """
-    arm, domain = ProvableArm(robot), domain or joint_range(robot)
-    inertia = arm.largest_inertia(robot.D_l + gains.K_ld, domain, goal, most_boxes, samples, watch)
-    largest = arm.largest_inertia(1.0, domain, goal, 1 + most_boxes // SHARE, samples)
+    domain = domain or joint_range(robot)
+    inertia = largest_inertia(robot, robot.D_l + gains.K_ld, domain, goal, most_boxes, samples, watch)
+    largest = largest_inertia(robot, 1.0, domain, goal, 1 + most_boxes // SHARE, samples)
     return RateProof(
         rate_from_inertia_bounds(robot, gains, inertia.bound, inertia.attained, largest.bound), domain, inertia
     )

@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from math import comb, pi
+from math import comb
 
 import numpy as np
 
@@ -27,14 +27,14 @@ from fjr_core.errors import RobotError
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import UP, Interval, U, cosine, product, sine, stack
 
-from .inertia_polynomial import InertiaPolynomial, pairs
+from .inertia_polynomial import InertiaPolynomial, from_nodes, pairs, waves
 
 LONGEST_ARC = 2.5
 """Longest arc [rad] with control values of its own; a longer one is part of the whole circle."""
 DEGREE = 4
 """Of a trigonometric polynomial of degree 2 in the half angle."""
-KERNEL = (1.0, 0.65, 0.34)
-"""Cosine coefficients; nonnegative as 1 - 2 k_2 - k_1^2 / (4 k_2) > 0."""
+KERNEL = Interval.exact([1.0, 0.65, 0.65, 0.34, 0.34])
+"""1, k_1, k_1, k_2, k_2; nonnegative as 1 - 2 k_2 - k_1^2 / (4 k_2) > 0."""
 CACHED = 4096
 """Matrices that are kept: halves of halves have few different ends."""
 ONE, HALF = Interval.exact(1.0), Interval.exact(0.5)
@@ -62,15 +62,14 @@ def from_interval(a: float, b: float) -> Interval:
 @lru_cache(CACHED)
 def from_circle() -> Interval:
     """Return (5, 5): coefficients of (1, cos, sin, cos 2q, sin 2q) to control values on the whole circle."""
-    return stack([stack([ONE, *_waves(j, inverse=True)]) for j in range(5)])
+    weighted = waves() / KERNEL[:, None]
+    return stack([weighted[:, j] for j in range(5)])
 
 
 @lru_cache(CACHED)
 def circle_to_arc(a: float, b: float) -> Interval:
     """Return (5, 5): control values on the whole circle to those on the arc from a to b [rad]."""
-    fifth = Interval.exact(1.0) / Interval.exact(5.0)
-    columns = [stack([fifth, *(wave * (fifth + fifth) for wave in _waves(j, inverse=False))]) for j in range(5)]
-    return product(from_arc(a, b), stack(columns, axis=1))
+    return product(from_arc(a, b), KERNEL[:, None] * from_nodes(False))
 
 
 @lru_cache(CACHED)
@@ -119,16 +118,6 @@ def _blossom(alpha: Interval, beta: Interval, k: int, order: int) -> tuple[Inter
         angle = alpha * Interval.exact(DEGREE - k - 2.0 * (dividing - m)) + beta * Interval.exact(k - 2.0 * m)
         real, imaginary = real + Interval.exact(ways) * cosine(angle), imaginary + Interval.exact(ways) * sine(angle)
     return real, imaginary
-
-
-def _waves(j: int, inverse: bool) -> list[Interval]:
-    """Return cos and sin of 72 j degrees and of twice this angle, times or divided by the kernel's coefficients."""
-    waves = []
-    for order in (1, 2):
-        angle = 2 * pi * (order * j) / 5
-        turned, weight = Interval(np.asarray(angle), np.asarray(8 * U * angle)), Interval.exact(KERNEL[order])
-        waves += [wave / weight if inverse else wave * weight for wave in (cosine(turned), sine(turned))]
-    return waves
 
 
 def _difference(larger: float, smaller: float) -> Interval:

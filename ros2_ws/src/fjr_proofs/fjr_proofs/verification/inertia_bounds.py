@@ -98,87 +98,70 @@ def few_boxes(robot: Robot) -> int:
     return min(500, 1 + FEW // number_of_coefficients(robot.links.bodies))
 
 
-def largest_inertia(robot: Robot, A: ArrayLike, domain: Domain | None = None, goal: float = GOAL) -> RelativeInertia:
-    """Return the least number that is proven to satisfy M_l(q_l) <= bound A; see ProvableArm.largest_inertia."""
-    return ProvableArm(robot).largest_inertia(A, domain, goal)
+def largest_inertia(
+    robot: Robot,
+    A: ArrayLike,
+    domain: Domain | None = None,
+    goal: float = GOAL,
+    most_boxes: int = MOST_BOXES,
+    samples: ArrayLike = (),
+    watch: Watch = unwatched,
+) -> RelativeInertia:
+    """Return the least number that is proven to satisfy M_l(q_l) <= bound A on a domain.
 
-
-class ProvableArm:
-    """The inertia of a robot's links as a polynomial in the joints of its chain, about which bounds are proven.
-
-    order (n,): joint k of the robot is joint order[k] of the chain. slides (n,): which joints of the robot are
-    prismatic. Raises RobotError unless is_provable(robot).
+    domain: by default the joint range. A (n, n): symmetric positive definite. samples (k, n): configurations at which
+    large values are expected. The search ends if attained >= goal bound, or after most_boxes. Raises RobotError unless
+    is_provable(robot), StateError for a domain without positions.
     """
+    links, domain = robot.links, domain or joint_range(robot)
+    if not is_provable(robot):
+        known = f"{robot.n} joints" if links.bodies else "an inertia matrix whose bodies are not known"
+        raise RobotError(f"the robot has {known}; expected a serial chain of at most 8 revolute joints for a proof")
+    order = list(links.order)  # joint k of the robot is joint order[k] of the chain
+    base, *outer = in_chain = np.argsort(order)
+    A = checks.positive_definite("A", checks.matrix("A", A, robot.n, StateError), StateError)
+    inertia = normalised(_polynomial(pickle.dumps(links.bodies)), Interval.exact(A[np.ix_(in_chain, in_chain)]))
+    lower, upper, whole = _covered(robot, domain)
 
-    def __init__(self, robot: Robot) -> None:
-        links = robot.links
-        if not is_provable(robot):
-            known = f"{robot.n} joints" if links.bodies else "an inertia matrix whose bodies are not known"
-            raise RobotError(f"the robot has {known}; expected a serial chain of at most 8 revolute joints for a proof")
-        self.robot, self.order = robot, list(links.order)
-        self.in_chain: NDArray[np.intp] = np.argsort(self.order)
-        self.slides = np.array([links.bodies[joint].prismatic for joint in self.order])
-        self.polynomial = _polynomial(pickle.dumps(links.bodies))
+    def complete(q: Array) -> Array:
+        return np.concatenate([[float(lower[base])], q])[order]
 
-    def largest_inertia(
-        self,
-        A: ArrayLike,
-        domain: Domain | None = None,
-        goal: float = GOAL,
-        most_boxes: int = MOST_BOXES,
-        samples: ArrayLike = (),
-        watch: Watch = unwatched,
-    ) -> RelativeInertia:
-        """Return the least number that is proven to satisfy M_l(q_l) <= bound A on a domain.
+    def value(q: Array) -> float:
+        M_l = robot.M_l(complete(q))[np.ix_(in_chain, in_chain)]
+        return float(np.linalg.eigvalsh(inertia.X @ M_l @ inertia.X.T)[-1])
 
-        domain: by default the joint range. A (n, n): symmetric positive definite. samples (k, n): configurations at
-        which large values are expected. The search ends if attained >= goal bound, or after most_boxes. Raises
-        StateError for a domain without positions.
-        """
-        robot, outer = self.robot, self.in_chain[1:]
-        domain = domain or joint_range(robot)
-        A = checks.positive_definite("A", checks.matrix("A", A, robot.n, StateError), StateError)
-        in_chain = np.ix_(self.in_chain, self.in_chain)
-        inertia = normalised(self.polynomial, Interval.exact(A[in_chain]))
-        lower, upper, whole = self._covered(domain)
+    tried = np.reshape(np.asarray(samples, dtype=float), (-1, robot.n))
+    if domain.near is not None:
+        tried = np.vstack([tried, np.mean(domain.near, axis=1)])
+    box = np.column_stack([lower, upper])[outer]
+    search = _Search(inertia, value, _meets(domain, whole, outer))
+    for q in (np.mean(box, axis=1), *np.clip(tried, lower, upper)[:, outer]):
+        search.try_at(q)
+    root = search.run(box, goal, most_boxes, watch)
+    return RelativeInertia(search.bound, search.attained, complete(search.at), lower, upper, search.boxes, root)
 
-        def complete(q: Array) -> Array:
-            return np.concatenate([[float(lower[self.in_chain[0]])], q])[self.order]
 
-        def value(q: Array) -> float:
-            M_l = robot.M_l(complete(q))[in_chain]
-            return float(np.linalg.eigvalsh(inertia.X @ M_l @ inertia.X.T)[-1])
+def _covered(robot: Robot, domain: Domain) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return lower and upper (n,) of the domain, and which joints turn by a whole circle: their range is one turn.
 
-        tried = np.reshape(np.asarray(samples, dtype=float), (-1, robot.n))
-        if domain.near is not None:
-            tried = np.vstack([tried, np.mean(domain.near, axis=1)])
-        box = np.column_stack([lower, upper])[outer]
-        search = _Search(inertia, value, _meets(domain, whole, outer))
-        for q in (np.mean(box, axis=1), *np.clip(tried, lower, upper)[:, outer]):
-            search.try_at(q)
-        root = search.run(box, goal, most_boxes, watch)
-        return RelativeInertia(search.bound, search.attained, complete(search.at), lower, upper, search.boxes, root)
-
-    def _covered(self, domain: Domain) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return lower and upper (n,) of the domain, and which joints turn by a whole circle: their range is one turn.
-
-        Raises StateError for boxes (k, 2, n) that are not ordered within lower, upper. A search would leave them out:
-        its bound would not hold on them.
-        """
-        n, near = self.robot.n, domain.near
-        ends = (domain.lower, domain.upper)
-        lower, upper = (checks.vector("an end of the domain", end, n, StateError) for end in ends)
-        if not np.all(lower <= upper):
-            raise StateError(f"the domain is {lower.tolist()} to {upper.tolist()}; expected lower <= upper")
-        if near is not None:
-            if np.ndim(near) != 3 or not len(near) or near.shape[1:] != (2, n):
-                raise StateError(f"near has shape {np.shape(near)}; expected (k, 2, {n}) with k > 0")
-            inside = np.all((lower <= near[:, 0]) & (near[:, 0] <= near[:, 1]) & (near[:, 1] <= upper), axis=1)
-            if not np.all(inside):
-                worst = near[np.argmin(inside)].tolist()
-                raise StateError(f"near contains {worst}; expected lower <= upper, within the domain")
-        whole = ~self.slides & (upper - lower >= 2 * np.pi - 1e-9)
-        return lower, np.where(whole, lower + CIRCLE, upper), whole
+    Raises StateError for boxes (k, 2, n) that are not ordered within lower, upper. A search would leave them out: its
+    bound would not hold on them.
+    """
+    n, near = robot.n, domain.near
+    ends = (domain.lower, domain.upper)
+    lower, upper = (checks.vector("an end of the domain", end, n, StateError) for end in ends)
+    if not np.all(lower <= upper):
+        raise StateError(f"the domain is {lower.tolist()} to {upper.tolist()}; expected lower <= upper")
+    if near is not None:
+        if np.ndim(near) != 3 or not len(near) or near.shape[1:] != (2, n):
+            raise StateError(f"near has shape {np.shape(near)}; expected (k, 2, {n}) with k > 0")
+        inside = np.all((lower <= near[:, 0]) & (near[:, 0] <= near[:, 1]) & (near[:, 1] <= upper), axis=1)
+        if not np.all(inside):
+            worst = near[np.argmin(inside)].tolist()
+            raise StateError(f"near contains {worst}; expected lower <= upper, within the domain")
+    turns = ~np.array([robot.links.bodies[joint].prismatic for joint in robot.links.order])
+    whole = turns & (upper - lower >= 2 * np.pi - 1e-9)
+    return lower, np.where(whole, lower + CIRCLE, upper), whole
 
 
 @lru_cache(maxsize=2)
@@ -186,7 +169,7 @@ def _polynomial(bodies: bytes) -> InertiaPolynomial:
     return inertia_polynomial(pickle.loads(bodies))
 
 
-def _meets(domain: Domain, whole: NDArray[np.bool_], joints: NDArray[np.intp]) -> Callable[[Array], bool]:
+def _meets(domain: Domain, whole: NDArray[np.bool_], joints: list[int]) -> Callable[[Array], bool]:
     """Return whether a box (n - 1, 2) of the outer joints of the chain meets the domain.
 
     A joint that turns by a whole circle meets it at every angle, as its angles in the domain may be a turn away.
