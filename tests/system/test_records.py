@@ -24,12 +24,12 @@ from fjr_core.errors import FjrError, MissingPackageError, ParameterError, Recor
 from fjr_core.model.robot import Robot
 from fjr_design.uncertainty.posterior import DEFLECTION, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.motion_record import MotionRecord, TimeWindow
+from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.missing_sensors import lacking
 from fjr_identification.page import fit_plots
-from fjr_identification.read_record import Reading, read_record, record_of_table
+from fjr_identification.read_record import Reading, TimeWindow, read_record, record_of_table
 from fjr_identification.record_map import EFFORT, FILL_IN, LINK, MOTOR, TORQUE, TableMap, read_map, written_map
 from system.bags import rewritten
 from system.executables import fjr_here

@@ -15,12 +15,11 @@ from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, WEAK
 from fjr_identification.estimation import optimise
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import (
+    FilteredEquations,
+    Side,
     confounded,
     equation_error,
     filtered_fit,
-    link_side,
-    motor_side,
-    rigid_along,
     simulation_start,
 )
 from fjr_identification.estimation.identify import MOST, displacement, identify
@@ -90,22 +89,22 @@ def test_derivatives_of_both_sides_equal_central_differences() -> None:
     q = np.column_stack([multi_sine(t, np.array([0.9, 2.1]), 0.5, seed) for seed in (1, 2)])
     record = MotionRecord("a record", ("a", "b"), 4e-3, 3 * q, q, 1.1 * q, np.full_like(q, np.nan))
     setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions(position_torque="b", payload=True))
-    names, width, motion = setup.coordinates.free, setup.coordinates.width, setup.motions[0]
+    names, width = setup.coordinates.free, setup.coordinates.width
     z = setup.coordinates.mean + 0.1 * width * np.random.default_rng(3).standard_normal(len(width))
     z = np.where([KINDS[name].coordinate == LOG for name, _ in names], z, np.abs(z))
 
-    def sides(at: Array) -> list[Array]:
-        rigid = rigid_along(setup, motion, at)
-        return [side(setup, motion, rigid, at, j).errors for j in range(2) for side in (link_side, motor_side)]
+    def sides(at: Array) -> list[Side]:
+        equations = FilteredEquations(setup, at)
+        return [side for j in range(2) for side in (*equations.links(j), *equations.motors(j))]
 
-    rigid = rigid_along(setup, motion, z)
-    found = [side(setup, motion, rigid, z, j) for j in range(2) for side in (link_side, motor_side)]
+    found = sides(z)
     for k, name in enumerate(names):
         if name[0] == SMOOTHING:  # not fitted to a filtered motion
             continue
         step = 1e-4 * width[k] * np.eye(len(z))[k]
         differences = [
-            (before - after) / (2 * step[k]) for before, after in zip(sides(z - step), sides(z + step), strict=True)
+            (before.errors - after.errors) / (2 * step[k])
+            for before, after in zip(sides(z - step), sides(z + step), strict=True)
         ]
         for side, difference in zip(found, differences, strict=True):
             error = side.columns.get(name, np.zeros_like(difference)) - difference

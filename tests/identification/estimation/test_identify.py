@@ -14,10 +14,10 @@ from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, u
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate, Identification
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.intervals import inflation
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
+from fjr_identification.estimation.verdicts import inflation
 
 NOISE = 2e-5  # rad
 LINEAR = ElasticJoint().linear()

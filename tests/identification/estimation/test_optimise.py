@@ -12,8 +12,7 @@ from scipy.optimize import nnls
 from core.oracles.elastic_joint import TRUTH
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.multiple_shooting import FEWEST, Problem, Segment
-from fjr_identification.estimation.optimise import bounded_step, optimise
-from fjr_identification.estimation.reversals import LAGS, Reversals
+from fjr_identification.estimation.optimise import LAGS, Reversals, bounded_step, optimise
 from identification.estimation.test_filtered_fit import JOINT, NOISE, setup_of
 
 

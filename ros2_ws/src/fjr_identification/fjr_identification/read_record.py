@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from fjr_monitor.recording.files import BagError, Times
 from fjr_monitor.recording.signals import ANSWERS, EFFORTS, STATES, first_of_each_stamp, match_stamps
 from fjr_msgs_py.names import motor_name, state_names
 
-from .estimation.motion_record import LARGEST, MotionRecord, TimeWindow, record_of_samples
+from .estimation.motion_record import MotionRecord, record_of_samples
 from .record_checks import findings
 from .record_map import (
     BY_COMMANDS,
@@ -41,9 +41,39 @@ from .record_map import (
 
 TABLES = (".csv", ".csv.gz", ".txt", ".tsv", PARQUET)
 SCENARIO = "scenario.yaml"
+LARGEST = 2 * 10**7  # numbers of a record in memory
 BYTES, MESSAGES = 2**22, 4096  # of a CSV file, of states in a bag, that are read together
 Rows = tuple[Times, Times, Array]
 """Stamps and send times (k,) [ns] of k messages, and their numbers (k, width): positions, then efforts."""
+
+
+@dataclass
+class TimeWindow:
+    """Part of a record: from `start` [s] after its first sample for `duration` [s]. ended: nothing more follows."""
+
+    start: float = 0.0
+    duration: float = np.inf
+    ended: bool = field(default=False, init=False)
+    _first: float | None = field(default=None, init=False)
+    _count: int = field(default=0, init=False)
+
+    @property
+    def text(self) -> str:
+        """Return the window for a message; empty if it is everything."""
+        return "" if self.start == 0 and np.isinf(self.duration) else f" from {self.start:g} s for {self.duration:g} s"
+
+    def of(self, t: Array, block: Array) -> Array:
+        """Return the rows of a block with the times t [s] that are in the window; raise RecordError if too many are."""
+        self._first = float(t[0]) if self._first is None and len(t) else self._first
+        since = t - (self._first or 0.0)
+        self.ended = bool(len(t) and since[-1] >= self.start + self.duration)
+        rows = np.asarray(block[(since >= self.start) & (since < self.start + self.duration)])
+        self._count += rows.size
+        if self._count > LARGEST:
+            raise RecordError(
+                f"the record holds more than {LARGEST:,} numbers; expected fewer: choose a --start and a --duration"
+            )
+        return rows
 
 
 @dataclass(frozen=True)

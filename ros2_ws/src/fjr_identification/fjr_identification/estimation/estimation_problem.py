@@ -15,8 +15,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.urdf.typical_joints import least_free_inertia
 
 from .elastic_arm import ElasticArm, correctable, packed
-from .filtered_motion import FilteredMotion, filtered, inner, smoothed
-from .motion_record import MotionRecord
+from .motion_record import FilteredMotion, MotionRecord, filtered, inner, smoothed
 from .multiple_shooting import Problem, cut, measured_signals
 from .parameters import HARDENING, KINDS, PAYLOAD, POSITION_TORQUE, IdentifyOptions, ParameterCoordinates, Prior, size
 from .shooting import MOST_PARTS, HeldEffort, Shooting

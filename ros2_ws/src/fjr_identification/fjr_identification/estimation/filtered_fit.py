@@ -11,7 +11,7 @@ bandwidth of the motion, because the noise of an acceleration would bias the sti
 and decimated regressors).
 
 Errors of both sides and of all joints count together, each in units of its deviation, which is estimated with the
-parameters (Gauss-Newton). They are coloured; blocks of the record have scores of their own, from which `intervals`
+parameters (Gauss-Newton). They are coloured; blocks of the record have scores of their own, from which `verdicts`
 widens the intervals.
 """
 
@@ -27,7 +27,7 @@ from fjr_core.numerics.checks import Array
 
 from .elastic_arm import coulomb, packed, position_terms
 from .estimation_problem import Estimation
-from .filtered_motion import FilteredMotion, decimated, inner, shifted
+from .motion_record import FilteredMotion, decimated, inner, shifted
 from .multiple_shooting import NormalEquations, with_prior
 from .optimise import bounded_step
 from .parameters import HARDENING, OF_LINKS, POSITION_TORQUE, SMOOTHING
@@ -56,7 +56,7 @@ class Side:
 
     p of positive parameters is the logarithm. torque (k,) [N m]: of the spring. used (k,): samples that
     count. Every `stride`-th one, stride dt apart, is independent. measured: standard deviation of the deflection or the
-    effort.
+    effort. record: number of the record.
     """
 
     errors: Array
@@ -66,81 +66,86 @@ class Side:
     dt: float
     stride: int
     measured: float
+    record: int
 
 
-@dataclass(frozen=True, eq=False)
-class RigidTorque:
-    """Torque (k, n) of the rigid links along a motion, and its derivatives (k, n) by the free parameters of links."""
+class FilteredEquations:
+    """Equations of both sides of each joint along the filtered motions of all records at z (p,).
 
-    torque: Array
-    slopes: Columns
+    p: parameters by name. rigid: of each record, the torque (k, n) of the links and its derivatives by their free ones.
+    """
 
+    def __init__(self, setup: Estimation, z: Array) -> None:
+        self.setup, self.p = setup, setup.coordinates.parameters(z)
+        self.rigid = [self._rigid_along(motion) for motion in setup.motions]
 
-def rigid_along(setup: Estimation, motion: FilteredMotion, z: Array) -> RigidTorque:
-    """Return the torque of the rigid links along a motion at z (p,), with derivatives by the free ones of OF_LINKS."""
-    free = [(name, i) for name, i in setup.coordinates.free if name in OF_LINKS]
-    if not free:
-        return RigidTorque(motion.rigid, {})
-    arm = setup.arm(setup.coordinates)
-    values = packed(arm, setup.coordinates.parameters(z))
-    n, arguments = setup.robot.n, (motion.q_l.T, motion.v_l.T, motion.a_l.T)
-    torque = np.asarray(arm.link_torque(*arguments, values)).T
-    slopes = np.asarray(arm.link_torque_slopes(*arguments, values)).reshape(n * len(free), -1)
-    return RigidTorque(torque, {parameter: slopes[k * n : (k + 1) * n].T for k, parameter in enumerate(free)})
+    def links(self, j: int) -> list[Side]:
+        """Return the equations of link j in the records that measure both sides of its joint."""
+        return [self.link(k, j) for k, record in enumerate(self.setup.records) if record.both_sides(j)]
 
+    def motors(self, j: int) -> list[Side]:
+        """Return the equations of motor j in all records."""
+        return [self.motor(k, j) for k in range(len(self.setup.records))]
 
-def link_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Array, j: int) -> Side:
-    """Return the errors [rad] of the equation of link j."""
-    p = setup.coordinates.parameters(z)
-    tau, columns, q = _spring_torque(m, rigid, p, j)
-    K, cubic, deflection = p["joint_stiffness"][j], p[HARDENING][j], m.q_m[:, j] - q
-    zeta = springs.root(K, cubic, tau, np)
-    tangent = K + 3 * cubic * zeta**2
-    columns = {name: column / tangent for name, column in columns.items()}
-    columns[("joint_stiffness", j)] = -zeta * (K / tangent)
-    columns[(HARDENING, j)] = -(zeta**3) / tangent
-    columns[("offset", j)] = np.ones(len(q))
-    columns[("link_skew", j)] -= np.gradient(q, m.dt)
-    errors = deflection - p["offset"][j] - zeta
-    return _side(m, deflection, errors, columns, tau, np.ones(len(q), dtype=bool))
+    def link(self, record: int, j: int) -> Side:
+        """Return the errors [rad] of the equation of link j in a record."""
+        p, m = self.p, self.setup.motions[record]
+        tau, columns, q = self._spring_torque(record, j)
+        K, cubic, deflection = p["joint_stiffness"][j], p[HARDENING][j], m.q_m[:, j] - q
+        zeta = springs.root(K, cubic, tau, np)
+        tangent = K + 3 * cubic * zeta**2
+        columns = {name: column / tangent for name, column in columns.items()}
+        columns[("joint_stiffness", j)] = -zeta * (K / tangent)
+        columns[(HARDENING, j)] = -(zeta**3) / tangent
+        columns[("offset", j)] = np.ones(len(q))
+        columns[("link_skew", j)] -= np.gradient(q, m.dt)
+        errors = deflection - p["offset"][j] - zeta
+        return self._side(record, deflection, errors, columns, tau, np.ones(len(q), dtype=bool))
 
+    def motor(self, record: int, j: int) -> Side:
+        """Return the errors [N m] of the equation of motor j in a record."""
+        p, m = self.p, self.setup.motions[record]
+        tau, columns, _ = self._spring_torque(record, j)
+        u = shifted((m.u @ self.setup.robot.B_m.T)[:, j], m.dt, p["effort_delay"][j] + m.dt / 2)
+        B, v, friction = p["motor_inertia"][j], m.v_m[:, j], coulomb(m.v_m[:, j], p[SMOOTHING][j])
+        columns[("motor_inertia", j)] = B * m.a_m[:, j]
+        columns[("motor_damping", j)] = v
+        columns[("motor_coulomb_friction", j)] = friction
+        columns[("motor_load_friction", j)] = np.abs(tau) * friction
+        columns[("effort_delay", j)] = np.gradient(u, m.dt)
+        level = p["motor_coulomb_friction"][j] + p["motor_load_friction"][j] * np.abs(tau)
+        explained = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + level * friction
+        return self._side(record, u, u - explained, columns, tau, np.abs(v) > MOVING * p[SMOOTHING][j])
 
-def motor_side(setup: Estimation, m: FilteredMotion, rigid: RigidTorque, z: Array, j: int) -> Side:
-    """Return the errors [N m] of the equation of motor j."""
-    p = setup.coordinates.parameters(z)
-    tau, columns, _ = _spring_torque(m, rigid, p, j)
-    u = shifted((m.u @ setup.robot.B_m.T)[:, j], m.dt, p["effort_delay"][j] + m.dt / 2)
-    B, v, friction = p["motor_inertia"][j], m.v_m[:, j], coulomb(m.v_m[:, j], p[SMOOTHING][j])
-    columns[("motor_inertia", j)] = B * m.a_m[:, j]
-    columns[("motor_damping", j)] = v
-    columns[("motor_coulomb_friction", j)] = friction
-    columns[("motor_load_friction", j)] = np.abs(tau) * friction
-    columns[("effort_delay", j)] = np.gradient(u, m.dt)
-    level = p["motor_coulomb_friction"][j] + p["motor_load_friction"][j] * np.abs(tau)
-    explained = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + level * friction
-    return _side(m, u, u - explained, columns, tau, np.abs(v) > MOVING * p[SMOOTHING][j])
+    def _rigid_along(self, motion: FilteredMotion) -> tuple[Array, Columns]:
+        free = [(name, i) for name, i in self.setup.coordinates.free if name in OF_LINKS]
+        if not free:
+            return motion.rigid, {}
+        arm = self.setup.arm(self.setup.coordinates)
+        n, values, arguments = arm.robot.n, packed(arm, self.p), (motion.q_l.T, motion.v_l.T, motion.a_l.T)
+        torque = np.asarray(arm.link_torque(*arguments, values)).T
+        slopes = np.asarray(arm.link_torque_slopes(*arguments, values)).reshape(n * len(free), -1)
+        return torque, {parameter: slopes[k * n : (k + 1) * n].T for k, parameter in enumerate(free)}
 
+    def _spring_torque(self, record: int, j: int) -> tuple[Array, Columns, Array]:
+        """Return tau (k,) of joint j, its derivatives, and the position of the link, at the link's skew."""
+        p, m, (rigid, slopes) = self.p, self.setup.motions[record], self.rigid[record]
+        skew = p["link_skew"][j]
+        q, v, tau = (shifted(signal[:, j], m.dt, skew) for signal in (m.q_l, m.v_l, rigid))
+        friction, terms = coulomb(v, p[SMOOTHING][j]), position_terms(q, np)
+        columns = {(name, j): term for name, term in zip(POSITION_TORQUE, terms, strict=True)}
+        columns |= {("link_damping", j): v, ("link_coulomb_friction", j): friction}
+        columns[("link_load_friction", j)] = np.abs(tau) * friction
+        tau = tau + sum(p[name][i] * column for (name, i), column in columns.items())
+        columns |= {name: shifted(slope[:, j], m.dt, skew) for name, slope in slopes.items()}
+        columns[("link_skew", j)] = -np.gradient(tau, m.dt)
+        return tau, columns, q
 
-def _spring_torque(
-    m: FilteredMotion, rigid: RigidTorque, p: Mapping[str, Array], j: int
-) -> tuple[Array, Columns, Array]:
-    """Return tau (k,) of joint j, its derivatives, and the position of the link, at the link's skew."""
-    skew = p["link_skew"][j]
-    q, v, tau = (shifted(signal[:, j], m.dt, skew) for signal in (m.q_l, m.v_l, rigid.torque))
-    friction, terms = coulomb(v, p[SMOOTHING][j]), position_terms(q, np)
-    columns = {(name, j): term for name, term in zip(POSITION_TORQUE, terms, strict=True)}
-    columns |= {("link_damping", j): v, ("link_coulomb_friction", j): friction}
-    columns[("link_load_friction", j)] = np.abs(tau) * friction
-    tau = tau + sum(p[name][i] * column for (name, i), column in columns.items())
-    columns |= {name: shifted(slope[:, j], m.dt, skew) for name, slope in rigid.slopes.items()}
-    columns[("link_skew", j)] = -np.gradient(tau, m.dt)
-    return tau, columns, q
-
-
-def _side(m: FilteredMotion, measured: Array, errors: Array, columns: Columns, torque: Array, used: Array) -> Side:
-    inside = {name: inner(column, m.dt) for name, column in columns.items()}
-    errors, torque, used = (inner(values, m.dt) for values in (errors, torque, used))
-    return Side(errors, inside, torque, used, m.dt, m.stride, float(np.std(measured)))
+    def _side(self, record: int, measured: Array, errors: Array, columns: Columns, torque: Array, used: Array) -> Side:
+        m = self.setup.motions[record]
+        inside = {name: inner(column, m.dt) for name, column in columns.items()}
+        errors, torque, used = (inner(values, m.dt) for values in (errors, torque, used))
+        return Side(errors, inside, torque, used, m.dt, m.stride, float(np.std(measured)), record)
 
 
 def equation_error(setup: Estimation, z: Array) -> list[NormalEquations]:
@@ -148,17 +153,15 @@ def equation_error(setup: Estimation, z: Array) -> list[NormalEquations]:
     free, size = setup.coordinates.free, len(z)
     counts = [max(FEWEST_BLOCKS, round(len(motion.u) * motion.dt / BLOCK)) for motion in setup.motions]
     blocks = [[NormalEquations(np.zeros((size, size)), np.zeros(size)) for _ in range(count)] for count in counts]
-    rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
+    equations = FilteredEquations(setup, z)
     for j in range(setup.robot.n):
-        for side in (link_side, motor_side):
-            used = [k for k, record in enumerate(setup.records) if side is motor_side or record.both_sides(j)]
-            equations = [side(setup, setup.motions[k], rigid[k], z, j) for k in used]
-            scale = _deviation(equations)
-            for k, equation in zip(used, equations, strict=True):
-                entries = [i for i, name in enumerate(free) if name in equation.columns]
-                J_and_r = np.column_stack([*(equation.columns[free[i]] for i in entries), equation.errors])
-                slow = decimated(J_and_r * equation.used[:, None], equation.stride)
-                for block, rows in zip(blocks[k], np.array_split(slow, counts[k]), strict=True):
+        for sides in (equations.links(j), equations.motors(j)):
+            scale = _deviation(sides)
+            for side in sides:
+                entries = [i for i, name in enumerate(free) if name in side.columns]
+                J_and_r = np.column_stack([*(side.columns[free[i]] for i in entries), side.errors])
+                slow, of_record = decimated(J_and_r * side.used[:, None], side.stride), blocks[side.record]
+                for block, rows in zip(of_record, np.array_split(slow, len(of_record)), strict=True):
                     J, r = rows[:, :-1], rows[:, -1]
                     block.H[np.ix_(entries, entries)] += J.T @ J / scale**2
                     block.g[entries] += J.T @ r / scale**2

@@ -27,24 +27,20 @@ from fjr_design.uncertainty.posterior import DEFLECTION, Fit, Identification
 from .elastic_arm import packed
 from .estimation_problem import SHORTEST, Estimation
 from .filtered_fit import (
+    FilteredEquations,
     confounded,
     filtered_estimates,
     filtered_fit,
-    motor_side,
-    rigid_along,
     simulation_start,
     with_static_friction,
 )
-from .filtered_motion import shifted
-from .intervals import spurious_information
 from .lack_of_fit import rubs_with_load, seen, withheld
-from .motion_record import MotionRecord
+from .motion_record import MotionRecord, shifted
 from .multiple_shooting import PredictedSegments
-from .optimise import optimise, parameter_step, refine
+from .optimise import COLOURED, coloured, joints_with_jumps, optimise, parameter_step, refine, with_reversals
 from .parameters import COULOMB, PAYLOAD, SMOOTHING, IdentifyOptions, Prior
-from .reversals import COLOURED, coloured, joints_with_jumps, with_reversals
 from .validation import deflection_error, motion_fits, simulated_fits
-from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
+from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable, spurious_information
 
 NOT_CONVERGED = (
     "the fit did not reach a minimum, so that the interval may be too narrow; check signs, units and the prior"
@@ -225,15 +221,15 @@ def displacement(setup: Estimation, z: Array) -> Array:
 
     (n,), root mean squares over all records at z (p,). Without the joints that are not measured on both sides.
     """
-    n, p, arm = setup.robot.n, setup.coordinates.parameters(z), setup.arm(setup.coordinates)
+    n, equations, arm = setup.robot.n, FilteredEquations(setup, z), setup.arm(setup.coordinates)
+    p = equations.p
     length, values = setup.segment_length(p), packed(arm, p)
     links = np.mean([np.diag(arm.link_inertia(q, values).full()) for q in setup.poses], axis=0)
     inertia = np.asarray(links + p["motor_inertia"])
     moved, deflected = np.zeros(n), np.zeros(n)
-    for record, motion in zip(setup.records, setup.motions, strict=True):
-        rigid = rigid_along(setup, motion, z)
+    for k, (record, motion) in enumerate(zip(setup.records, setup.motions, strict=True)):
         for j in (j for j in range(n) if record.both_sides(j)):
-            side = motor_side(setup, motion, rigid, z, j)
+            side = equations.motor(k, j)
             acceleration = np.where(side.used, side.errors, 0.0) / inertia[j]
             for piece in np.array_split(acceleration, max(1, round(len(acceleration) * motion.dt / length))):
                 velocity = cumulative_trapezoid(piece, dx=motion.dt, initial=0.0)

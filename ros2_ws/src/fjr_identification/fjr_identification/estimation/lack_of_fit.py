@@ -28,11 +28,10 @@ from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Estimate
 
 from .estimation_problem import Estimation
-from .filtered_fit import BLOCK, FEWEST_BLOCKS, RigidTorque, Side, link_side, motor_side, rigid_along
-from .filtered_motion import FilteredMotion, decimated, inner, shifted
-from .intervals import CONFIDENCE
+from .filtered_fit import BLOCK, FEWEST_BLOCKS, FilteredEquations, Side
+from .motion_record import decimated, inner, shifted
 from .parameters import HARDENING, LOAD
-from .verdicts import Estimates
+from .verdicts import CONFIDENCE, Estimates
 
 SHARE = 0.3  # of the squares that the equation leaves, which a term explains
 APART = 0.1  # between the shares of a dead zone and a cubic term of which the larger one is the cause
@@ -112,20 +111,14 @@ class Seen:
 
 def seen(setup: Estimation, z: Array) -> dict[str, Seen]:
     """Return what the records show of each joint whose both sides are measured, at a fit z (p,) to filtered motions."""
-    rigid, joints = [rigid_along(setup, motion, z) for motion in setup.motions], {}
-    p, free = setup.coordinates.parameters(z), setup.coordinates.free
+    equations, joints = FilteredEquations(setup, z), {}
     for j, joint in enumerate(setup.records[0].joints):
-        used = [k for k, record in enumerate(setup.records) if record.both_sides(j)]
-        if not used:
+        sides = equations.links(j)
+        if not sides:
             continue
-        sides = [link_side(setup, setup.motions[k], rigid[k], z, j) for k in used]
-        K, cubic = float(p["joint_stiffness"][j]), float(p[HARDENING][j])
-        wrong = (
-            _of_links(setup, rigid, z, j)
-            or _of_spring(sides, [setup.motions[k] for k in used], free, j, K, cubic)
-            or _of_records(sides, [setup.records[k].name for k in used], free, j, K)
-        )
-        c, deviation, blocks = _compliance(sides, free, j)
+        K = float(equations.p["joint_stiffness"][j])
+        wrong = _of_links(equations, j) or _of_spring(equations, sides, j) or _of_records(setup, sides, j, K)
+        c, deviation, blocks = _compliance(setup, sides, j)
         reach = float(student.ppf(CONFIDENCE, blocks - 1)) * deviation
         joints[joint] = Seen(wrong, K / (c + reach) if abs(c) < reach else 0.0)
     return joints
@@ -141,9 +134,9 @@ def deflections(setup: Estimation, z: Array, j: int) -> list[float]:
 
 def rubs_with_load(setup: Estimation, z: Array) -> bool:
     """Return whether the friction of some joint grows with the torque of its spring, at a fit z (p,) without that."""
-    rigid = [rigid_along(setup, motion, z) for motion in setup.motions]
+    equations = FilteredEquations(setup, z)
     for j in range(setup.robot.n):
-        sides = [motor_side(setup, motion, along, z, j) for motion, along in zip(setup.motions, rigid, strict=True)]
+        sides = equations.motors(j)
         term = _of_effort(setup, sides, [side.columns[(LOAD[1], j)] for side in sides])
         if term.is_cause() and term.c[0] > LEAST_SHARE:
             return True
@@ -154,30 +147,29 @@ def _of_effort(setup: Estimation, sides: Sequence[Side], torques: Sequence[Array
     """Return what one more torque explains of the equations of a motor, one in each record."""
     pairs = zip(sides, torques, strict=True)
     added = np.concatenate([decimated(torque * side.used, side.stride) for side, torque in pairs])
-    return _rows(sides, _columns(sides, setup.coordinates.free)).term(added[:, None])
+    return _rows(sides, _columns(setup, sides)).term(added[:, None])
 
 
-def _of_links(setup: Estimation, rigid: Sequence[RigidTorque], z: Array, j: int) -> str:
+def _of_links(equations: FilteredEquations, j: int) -> str:
     """Return a sentence if the effort of joint j needs other links than those of the robot file."""
-    sides = [motor_side(setup, motion, along, z, j) for motion, along in zip(setup.motions, rigid, strict=True)]
-    loads = [inner(along.torque[:, j], motion.dt) for motion, along in zip(setup.motions, rigid, strict=True)]
-    term = _of_effort(setup, sides, loads)
+    sides = equations.motors(j)
+    loads = [inner(equations.rigid[side.record][0][:, j], side.dt) for side in sides]
+    term = _of_effort(equations.setup, sides, loads)
     factor = 1 + float(term.c[0])
     if not term.is_cause() or abs(factor - 1) < LIGHT or not 1 / MOST < factor < MOST:
         return ""
     return f"the links of the robot file do not fit: a factor of {factor:.2f} on their inertia and weight explains it"
 
 
-def _of_spring(
-    sides: Sequence[Side], motions: Sequence[FilteredMotion], free: Sequence[Parameter], j: int, K: float, cubic: float
-) -> str:
+def _of_spring(equations: FilteredEquations, sides: Sequence[Side], j: int) -> str:
     """Return a sentence if the deflection of joint j is no straight line of its torque."""
+    K, cubic = (float(equations.p[name][j]) for name in ("joint_stiffness", HARDENING))
     torques = [side.torque for side in sides]
     usual = float(np.sqrt(np.mean(np.concatenate(torques) ** 2))) / K
     if not usual:
         return ""
     first = [("joint_stiffness", j), ("offset", j)]
-    columns = [*first, *_columns(sides, free, first)]
+    columns = [*first, *_columns(equations.setup, sides, first)]
     rows = _rows(sides, columns)
     pairs = list(zip(torques, sides, strict=True))
     slow = np.concatenate([decimated(torque / K, side.stride) for torque, side in pairs])
@@ -197,7 +189,7 @@ def _of_spring(
         if stiffens and curved.share > dead.share - APART:
             return "the spring is not linear: it is softer at small deflections, by backlash or because it stiffens"
         return f"backlash of about {2e3 * dead.c[0]:.2g} mrad: the deflection jumps where the torque changes sign"
-    return _curved(rows, deflection, curved, K) or _of_gear(sides, motions, columns, j)
+    return _curved(rows, deflection, curved, K) or _of_gear(equations.setup, sides, columns, j)
 
 
 def _curved(rows: Rows, zeta: Array, cubic: Term, K: float) -> str:
@@ -216,10 +208,10 @@ def _curved(rows: Rows, zeta: Array, cubic: Term, K: float) -> str:
     return f"the spring is not linear: {seen[0]}, {seen[1]}"
 
 
-def _of_gear(sides: Sequence[Side], motions: Sequence[FilteredMotion], columns: Sequence[Parameter], j: int) -> str:
+def _of_gear(setup: Estimation, sides: Sequence[Side], columns: Sequence[Parameter], j: int) -> str:
     """Return a sentence if the deflection has a part that is periodic in the motor's position."""
     sides = [replace(side, stride=max(1, int(0.4 / (WIDE * side.dt)))) for side in sides]
-    rows, pairs = _rows(sides, columns), list(zip(motions, sides, strict=True))
+    rows, pairs = _rows(sides, columns), [(setup.motions[side.record], side) for side in sides]
     q, v = (
         np.concatenate([decimated(inner(getattr(m, name)[:, j], m.dt), side.stride) for m, side in pairs])
         for name in ("q_m", "v_m")
@@ -240,9 +232,9 @@ def _of_gear(sides: Sequence[Side], motions: Sequence[FilteredMotion], columns: 
     return f"kinematic error of about {1e3 * size:.2g} mrad, {turns:.0f} times in a turn of the joint"
 
 
-def _of_records(sides: Sequence[Side], names: Sequence[str], free: Sequence[Parameter], j: int, K: float) -> str:
+def _of_records(setup: Estimation, sides: Sequence[Side], j: int, K: float) -> str:
     """Return a sentence if records give the spring of joint j different compliances."""
-    found = [(*_compliance([side], free, j)[:2], name) for side, name in zip(sides, names, strict=True)]
+    found = [(*_compliance(setup, [side], j)[:2], setup.records[side.record].name) for side in sides]
     (low, s_low, soft), (high, s_high, stiff) = max(found), min(found)
     if low - high < SURE * np.hypot(s_low, s_high) or low - high < UNLIKE * low:
         return ""
@@ -250,18 +242,18 @@ def _of_records(sides: Sequence[Side], names: Sequence[str], free: Sequence[Para
     return f"the records do not agree: {K / low:.3g} N m/rad from {soft}, {of_stiff} from {stiff}"
 
 
-def _compliance(sides: Sequence[Side], free: Sequence[Parameter], j: int) -> tuple[float, float, int]:
+def _compliance(setup: Estimation, sides: Sequence[Side], j: int) -> tuple[float, float, int]:
     """Return 1/K of joint j, relative to that of the equations, its deviation over their blocks, and their number."""
     stiffness = ("joint_stiffness", j)
-    rows = _rows(sides, _columns(sides, free, [stiffness]))
+    rows = _rows(sides, _columns(setup, sides, [stiffness]))
     column = np.concatenate([decimated(side.columns[stiffness], side.stride) for side in sides])
     term = rows.term(column[:, None])
     return 1 - float(term.c[0]), abs(float(term.c[0])) / max(term.ratio, 1e-300), len(np.unique(rows.block))
 
 
-def _columns(sides: Sequence[Side], free: Sequence[Parameter], without: Sequence[Parameter] = ()) -> list[Parameter]:
+def _columns(setup: Estimation, sides: Sequence[Side], without: Sequence[Parameter] = ()) -> list[Parameter]:
     """Return the free parameters of an equation but some."""
-    return [key for key in sides[0].columns if key in free and key not in without]
+    return [key for key in sides[0].columns if key in setup.coordinates.free and key not in without]
 
 
 def _rows(sides: Sequence[Side], columns: Sequence[Parameter]) -> Rows:

@@ -1,26 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A record of motion from which an arm is identified: samples as recorded, put on a uniform grid of time."""
+"""A record of motion from which an arm is identified: samples put on a uniform grid of time, and behind a filter.
+
+All signals of the filtered motion pass the same filter (A. Savitzky, M. Golay, Analytical Chemistry 36(8), 1964).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.signal import resample_poly, savgol_filter
 
 from fjr_core.errors import RecordError, StateError
+from fjr_core.model import springs
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import joints as joints_of
+
+from .elastic_arm import ElasticArm, packed
+from .parameters import HARDENING
 
 SHORTEST_PERIOD, LONGEST_PERIOD = 1e-5, 0.1  # s
 MOST_MISSING, LONGEST_GAP = 0.01, 3  # share of all samples, and sample periods between two of them
 LOST = 1.75  # sample periods; in a longer step a sample is missing, a shorter one is late
 JITTER, LARGEST_JITTER = 0.02, 5.0  # sample periods; below it samples count as uniform, above it they have no period
-LARGEST = 2 * 10**7  # numbers of a record in memory
 SIGNALS = ("q_l", "q_m", "torque")
 LEAST_MOTION = 1e-4  # rad or m, peak to peak; a joint that moves less stands still
+WINDOW = 0.03  # s, of the filter
+ORDER = 4
+BAND, MARGIN = 0.99, 4.0  # share of the power of velocities below a frequency, and the cutoff relative to it
+CUTOFF = (8.0, 40.0)  # Hz; least and largest cutoff
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,35 +169,6 @@ def _means(t: Array, values: Array, grid: Array, dt: float) -> Array:
     return np.asarray(np.diff(integral, axis=0) / dt)
 
 
-@dataclass
-class TimeWindow:
-    """Part of a record: from `start` [s] after its first sample for `duration` [s]. ended: nothing more follows."""
-
-    start: float = 0.0
-    duration: float = np.inf
-    ended: bool = field(default=False, init=False)
-    _first: float | None = field(default=None, init=False)
-    _count: int = field(default=0, init=False)
-
-    @property
-    def text(self) -> str:
-        """Return the window for a message; empty if it is everything."""
-        return "" if self.start == 0 and np.isinf(self.duration) else f" from {self.start:g} s for {self.duration:g} s"
-
-    def of(self, t: Array, block: Array) -> Array:
-        """Return the rows of a block with the times t [s] that are in the window; raise RecordError if too many are."""
-        self._first = float(t[0]) if self._first is None and len(t) else self._first
-        since = t - (self._first or 0.0)
-        self.ended = bool(len(t) and since[-1] >= self.start + self.duration)
-        rows = np.asarray(block[(since >= self.start) & (since < self.start + self.duration)])
-        self._count += rows.size
-        if self._count > LARGEST:
-            raise RecordError(
-                f"the record holds more than {LARGEST:,} numbers; expected fewer: choose a --start and a --duration"
-            )
-        return rows
-
-
 def record_of_samples(
     name: str,
     joints: tuple[str, ...],
@@ -204,3 +186,90 @@ def record_of_samples(
     dt, effort, sampled, on_grid = on_uniform_grid(name, t, u, np.hstack([q_l, q_m, torque]))
     record = MotionRecord(name, joints, dt, effort, *np.hsplit(sampled, 3))
     return record, tuple(f"{name}: {note}" for note in (*notes, *on_grid))
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredMotion:
+    """Smoothed positions, velocities and accelerations of links and motors, and efforts, each (k, n).
+
+    A side without encoders follows from the other one by the torque sensor, or by the rigid arm and the prior's K.
+    rigid: torque of the rigid links.
+    """
+
+    dt: float
+    q_l: Array
+    v_l: Array
+    a_l: Array
+    q_m: Array
+    v_m: Array
+    a_m: Array
+    u: Array
+    rigid: Array
+
+    @cached_property
+    def stride(self) -> int:
+        """Return the number of samples from one independent sample to the next, by the bandwidth of the motion."""
+        power = np.abs(np.fft.rfft(np.nan_to_num(self.v_m), axis=0)) ** 2
+        share = np.cumsum(power, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
+        highest = np.max(np.argmax(share >= BAND, axis=0)) / (len(self.v_m) * self.dt)
+        cutoff = np.clip(MARGIN * highest, *CUTOFF)
+        return max(1, int(0.4 / (cutoff * self.dt)))
+
+    def state(self, sample: int) -> Array:
+        """Return (q_l, q_m, v_l, v_m) (4n,) at a sample."""
+        return np.concatenate([self.q_l[sample], self.q_m[sample], self.v_l[sample], self.v_m[sample]])
+
+
+def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array]) -> FilteredMotion:
+    """Return the filtered motion of a record; values: of all parameters, by name."""
+    q_l, q_m = _filled(record.q_l), _filled(record.q_m)
+    no_link, no_motor = (np.all(np.isnan(q), axis=0) for q in (record.q_l, record.q_m))
+    q_l[:, no_link], q_m[:, no_motor] = q_m[:, no_link], q_l[:, no_motor]
+    motion = (smoothed(q_l, record.dt, order).T for order in range(3))
+    rigid = np.asarray(arm.link_torque(*motion, packed(arm, values)).full().T)
+    sensed = np.isfinite(record.torque).any(axis=0)
+    torque = np.where(sensed, _filled(record.torque), rigid)
+    stiffness = zip(values["joint_stiffness"], values[HARDENING], torque.T, strict=True)
+    zeta = [springs.root(K, cubic, tau, np) for K, cubic, tau in stiffness]
+    deflection = smoothed(np.transpose(zeta) + values["offset"], record.dt)
+    q_l[:, no_link] = (q_m - deflection)[:, no_link]
+    q_m[:, no_motor] = (q_l + deflection)[:, no_motor]
+    (q_l, v_l, a_l), (q_m, v_m, a_m) = ([smoothed(q, record.dt, order) for order in range(3)] for q in (q_l, q_m))
+    return FilteredMotion(record.dt, q_l, v_l, a_l, q_m, v_m, a_m, smoothed(record.u, record.dt), rigid)
+
+
+def _filled(signal: Array) -> Array:
+    """Return a signal with missing samples interpolated; columns without any stay NaN."""
+    filled, k = signal.copy(), np.arange(len(signal))
+    for j in range(signal.shape[1]):
+        measured = np.isfinite(signal[:, j])
+        if measured.any() and not measured.all():
+            filled[:, j] = np.interp(k, k[measured], signal[measured, j])
+    return filled
+
+
+def smoothed(signal: Array, dt: float, order: int = 0) -> Array:
+    """Return the derivative of this order of a signal (k, ...) behind the filter of all signals."""
+    window = max(7, 2 * round(WINDOW / dt / 2) + 1)
+    if len(signal) <= window:
+        window = 7
+    return np.asarray(savgol_filter(signal, window, ORDER, deriv=order, delta=dt, axis=0))
+
+
+def shifted(signal: Array, dt: float, time: float) -> Array:
+    """Return the signal (k,) `time` [s] later, by Lagrange's cubic through four samples; its ends are held."""
+    first = int(np.floor(-time / dt))
+    f, k = -time / dt - first, np.arange(first - 1, first - 1 + len(signal))
+    weights = -f * (f - 1) * (f - 2) / 6, (f * f - 1) * (f - 2) / 2, -(f + 1) * f * (f - 2) / 2, (f**3 - f) / 6
+    return np.asarray(sum(w * signal[np.clip(k + i, 0, len(signal) - 1)] for i, w in enumerate(weights)))
+
+
+def decimated(signals: Array, stride: int) -> Array:
+    """Return every `stride`-th sample of the signals (k, ...) behind a low-pass filter."""
+    return np.asarray(resample_poly(signals, 1, stride)) if stride > 1 else signals
+
+
+def inner(rows: Array, dt: float) -> Array:
+    """Return the rows (k, ...) without those near the ends, which filters and shifts falsify."""
+    edge = round(2 * WINDOW / dt) + 2
+    return rows[edge:-edge] if len(rows) > 4 * edge else rows

@@ -3,8 +3,8 @@
 
     q_m - q_l(t + skew) = offset + (M_l a + C v + grad P_l + D_l v + F_l(v) + T(q)) / K
 
-The right side, at t + skew, follows from the filtered motion of the record and the parameters alone (`link_side` of
-`filtered_fit`); nothing is fitted. A rigid arm without skew has a constant deflection.
+The right side, at t + skew, follows from the filtered motion of the record and the parameters alone (`filtered_fit`);
+nothing is fitted. A rigid arm without skew has a constant deflection.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import DEFLECTION, Fit, Identification
 
 from .estimation_problem import Estimation
-from .filtered_fit import link_side, rigid_along
-from .filtered_motion import FilteredMotion, decimated, inner, smoothed
-from .motion_record import MotionRecord
+from .filtered_fit import FilteredEquations
+from .motion_record import FilteredMotion, MotionRecord, decimated, inner, smoothed
 from .multiple_shooting import PredictedSegments
 from .parameters import IdentifyOptions, Prior
 
@@ -34,10 +33,9 @@ def motion_fits(setup: Estimation, z: Array) -> list[Fit]:
     z (p,): parameters. Deflections are those within the bandwidth of the motion, less their means; NaN where a side is
     not measured.
     """
-    fits = []
-    for record, motion in zip(setup.records, setup.motions, strict=True):
-        rigid = rigid_along(setup, motion, z)
-        errors = np.column_stack([link_side(setup, motion, rigid, z, j).errors for j in range(setup.robot.n)])
+    fits, equations = [], FilteredEquations(setup, z)
+    for k, (record, motion) in enumerate(zip(setup.records, setup.motions, strict=True)):
+        errors = np.column_stack([equations.link(k, j).errors for j in range(setup.robot.n)])
         seen = inner(smoothed(record.q_m - record.q_l, record.dt), record.dt)
         measured, predicted = (decimated(side - np.mean(side, axis=0), motion.stride) for side in (seen, seen - errors))
         t = record.dt * inner(np.arange(len(record.u), dtype=float), record.dt)[:: motion.stride]
