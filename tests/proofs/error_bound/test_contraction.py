@@ -17,7 +17,7 @@ from bench.error_bound import on_reference
 from fjr_core.numerics.checks import Array
 from fjr_proofs.error_bound import sampled_contraction
 from fjr_proofs.error_bound.cells import cells_of
-from fjr_proofs.error_bound.peak_gains import CellModels, peak_gains
+from fjr_proofs.error_bound.linear_loop import CellModels, peak_gains
 from proofs.error_bound.test_error_bound import STILL, joint, two_link
 
 H = 1e-3

@@ -39,7 +39,7 @@ class ProofError(FjrError):
 
 @dataclass(frozen=True)
 class CertifiedRate:
-    """beta [1/s], proven over the joint range; attained [1/s] at the configuration `at`; boxes in the proof.
+    """beta [1/s], proven over the joint range; attained [1/s] at the configuration `at`.
 
     complete: beta is at least GOAL times the attained rate. certificate: see rate_certificate.
     """
@@ -48,7 +48,6 @@ class CertifiedRate:
     beta_paper: float
     attained: float
     at: list[float]
-    boxes: int
     complete: bool
     certificate: dict[str, Any]
 
@@ -136,7 +135,6 @@ def _proven_within(scenario: Scenario, law: TrackingLaw, seconds: float) -> Cert
         beta_paper=proof.rate.beta_paper,
         attained=attained,
         at=proof.inertia.at.tolist(),
-        boxes=proof.inertia.boxes,
         complete=proof.rate.beta >= GOAL * (1 - 1e-6) * attained,
         certificate=rate_certificate(robot, law.gains, proof, scenario.joints),
     )

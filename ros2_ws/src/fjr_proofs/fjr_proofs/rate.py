@@ -19,7 +19,7 @@ import numpy as np
 from fjr_core.law.gains import CheckedGains, Gains
 from fjr_core.law.rate import Rate, rate_from_inertia_bounds
 from fjr_core.model.robot import Robot
-from fjr_core.motions.domain import GOAL, MOST_BOXES, Domain, joint_range
+from fjr_core.motions.domain import GOAL, MOST_BOXES, Domain
 from fjr_core.numerics.checks import Array
 
 from .verification.inertia_bounds import ProofBox, RelativeInertia, Watch, largest_inertia, unwatched
@@ -34,10 +34,9 @@ SHARE = 40
 
 @dataclass(frozen=True, eq=False)
 class RateProof:
-    """A proven rate, its domain, and the bound M_l(q_l) <= inertia.bound (D_l + K_ld) with its boxes."""
+    """A proven rate, and the bound M_l(q_l) <= inertia.bound (D_l + K_ld) with its boxes."""
 
     rate: Rate
-    domain: Domain
     inertia: RelativeInertia
 
 
@@ -54,12 +53,10 @@ def proof_of_rate(
 
     samples (k, n) [rad, m]: configurations of small rates, if known. watch: see verification.inertia_bounds.
     """
-    domain = domain or joint_range(robot)
     inertia = largest_inertia(robot, robot.D_l + gains.K_ld, domain, goal, most_boxes, samples, watch)
     largest = largest_inertia(robot, 1.0, domain, goal, 1 + most_boxes // SHARE, samples)
-    return RateProof(
-        rate_from_inertia_bounds(robot, gains, inertia.bound, inertia.attained, largest.bound), domain, inertia
-    )
+    rate = rate_from_inertia_bounds(robot, gains, inertia.bound, inertia.attained, largest.bound)
+    return RateProof(rate, inertia)
 
 
 def rate_certificate(robot: Robot, gains: CheckedGains, proof: RateProof, joints: Sequence[str]) -> dict[str, Any]:

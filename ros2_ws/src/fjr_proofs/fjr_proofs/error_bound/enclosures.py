@@ -22,8 +22,7 @@ from fjr_core.stability.linearization import split
 from ..verification.taylor_models import ROUNDING, MatrixModels, Shape, TaylorModels, taylor_function
 from .cells import CellTimes
 from .known_response import KnownErrors
-from .linear_loop import LinearLoop
-from .peak_gains import columnwise
+from .linear_loop import LinearLoop, columnwise
 
 SAMPLED = 24  # cells at which ranges that are not verified are evaluated
 POINTS = 4  # of tube and factors at each instant: their middle, and random corners

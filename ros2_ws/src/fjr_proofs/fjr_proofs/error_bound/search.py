@@ -28,8 +28,7 @@ from ..verification.taylor_models import taylor_function
 from .cells import Cells, cells_of
 from .deviation_model import CentreMotion, DeviationModel
 from .enclosures import Ranges
-from .linear_loop import LinearLoop, linear_loop
-from .peak_gains import peak_gains
+from .linear_loop import LinearLoop, linear_loop, peak_gains
 from .tube import TubeProblem, steady_motion
 from .uncertain_robot import PARAMETERS, UncertainRobot
 

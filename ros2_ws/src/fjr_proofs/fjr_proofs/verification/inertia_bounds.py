@@ -74,8 +74,7 @@ class ProofBox:
 class RelativeInertia:
     """Bounds of M_l relative to A: M_l(q_l) <= bound A on the domain is proven; `attained` is the value at q_l = at.
 
-    lower, upper (n,): the box that contains the domain. boxes: number of boxes
-    of the proof. root: the parts of the domain.
+    lower, upper (n,): the box that contains the domain. root: the parts of the domain.
     """
 
     bound: float
@@ -83,7 +82,6 @@ class RelativeInertia:
     at: Array
     lower: Array
     upper: Array
-    boxes: int
     root: ProofBox
 
 
@@ -138,7 +136,7 @@ def largest_inertia(
     for q in (np.mean(box, axis=1), *np.clip(tried, lower, upper)[:, outer]):
         search.try_at(q)
     root = search.run(box, goal, most_boxes, watch)
-    return RelativeInertia(search.bound, search.attained, complete(search.at), lower, upper, search.boxes, root)
+    return RelativeInertia(search.bound, search.attained, complete(search.at), lower, upper, root)
 
 
 def _covered(robot: Robot, domain: Domain) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Sums of the responses of a sampled loop, of which peak_gains.py bounds the rest. */
+/* Sums of the responses of a sampled loop, of which linear_loop.py bounds the rest. */
 
 /* C = A B, A (rows, inner); four products at a time, so that the sums stay in registers longer. */
 static void multiply(double *restrict C, const double *restrict A, const double *restrict B, int rows, int inner, int width) {
