@@ -52,7 +52,7 @@ def found(short_search):
 def test_the_motion_keeps_every_limit_and_starts_and_ends_at_rest(found):
     robot, bounds, result = found
     motion = elastic_motion(robot, result.reference.jets(np.linspace(0, 5, 20001)))
-    largest = np.abs(bounds.ratios(motion.stacked)).max(axis=(1, 2))
+    largest = np.abs(bounds.ratios(np.stack(motion))).max(axis=(1, 2))
     assert largest.max() <= 1.0 + 5e-3
     assert largest.max() > 0.9
     jets = result.reference.jets(np.array([0.0, result.period, result.duration]))

@@ -20,8 +20,9 @@ joints are neglected in A, and the links (M_l, gravity) are known. F^-1 is then 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -55,8 +56,7 @@ SMOOTHING = 0.05  # rad/s; v0 of the friction regressors
 _LINK, _MOTOR = 0, 1
 
 
-@dataclass(frozen=True, eq=False)
-class ElasticMotion:
+class ElasticMotion(NamedTuple):
     """Motion of n elastic joints at k instants, each (k, n): what limits and information depend on."""
 
     q_l: Array  # [rad]
@@ -68,25 +68,26 @@ class ElasticMotion:
     ddq_m: Array  # [rad/s^2]
     u: Array  # effort [N m]
 
-    @property
-    def stacked(self) -> Array:
-        """Return all quantities (8, k, n)."""
-        return np.stack([getattr(self, name) for name in QUANTITIES])
+
+QUANTITIES = ElasticMotion._fields
 
 
-QUANTITIES = tuple(field.name for field in fields(ElasticMotion))
+def motion_function(robot: Robot) -> ca.Function:
+    """Return the function of q .. d4q (5 n,) of the links with the QUANTITIES (8 n,) as its value."""
+    jets = ca.SX.sym("jets", JETS * robot.n)
+    q, dq, ddq, *others = ca.vertsplit(jets, robot.n)
+    *motors, torque = inverse_dynamics(robot)(q, dq, ddq, *others)
+    motion = ca.vertcat(q, dq, ddq, *motors, ca.DM(np.linalg.inv(robot.B_m)) @ torque)
+    return ca.Function("elastic_motion", [jets], [ca.densify(motion)], {"cse": True})
 
 
 def elastic_motion(robot: Robot, jets: Array, function: ca.Function | None = None) -> ElasticMotion:
     """Return the motion of both sides along jets (k, 5, n) of the links.
 
-    function: the inverse dynamics of the robot for k instants, where it was prepared for many calls.
+    function: of the robot for k instants, where it was prepared for many calls.
     """
-    rows = [jets[:, row].T for row in range(JETS)]
-    values = (function or inverse_dynamics(robot).map(len(jets)))(*rows)
-    tau, q_m, dq_m, ddq_m, torque = (value.full().T for value in values)
-    q_l, dq_l, ddq_l = (row.T for row in rows[:3])
-    return ElasticMotion(q_l, dq_l, ddq_l, tau, q_m, dq_m, ddq_m, torque @ np.linalg.inv(robot.B_m).T)
+    motion = (function or motion_function(robot).map(len(jets)))(jets.reshape(len(jets), -1).T).full().T
+    return ElasticMotion(*np.split(motion, len(QUANTITIES), axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ class MotionEnvelope:
 
     def keeps(self, motion: ElasticMotion) -> bool:
         """Return whether a motion is within the limits."""
-        return bool(np.abs(self.ratios(motion.stacked)).max() <= 1.0)
+        return bool(np.abs(self.ratios(np.stack(motion))).max() <= 1.0)
 
 
 def motion_envelope(

@@ -19,13 +19,12 @@ from numpy.typing import ArrayLike
 
 from fjr_core.errors import TrajectoryError
 from fjr_core.model.robot import Robot
-from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import JETS, Reference
 from fjr_core.motions.sine import MultiSine
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
 
-from .elastic_motion import InformationModel, JointNoise, MotionEnvelope, elastic_motion
+from .elastic_motion import InformationModel, JointNoise, MotionEnvelope, elastic_motion, motion_function
 
 LONGEST_PERIOD = 10.0  # s
 HARMONICS = 10
@@ -186,36 +185,27 @@ class ExcitationDesign:
     def _loss(self, c: Array, weight: float, emphasis: Array) -> tuple[float, Array]:
         """Return the loss of coefficients and its gradient (size, n)."""
         jets = (self._basis @ c).swapaxes(0, 1)
-        motion = elastic_motion(self.robot, jets, self._inverse_dynamics)
+        motion = elastic_motion(self.robot, jets, self._motion)
         information, rate = self.model.criterion(motion, emphasis)
-        ratios, k = self.limits.ratios(motion.stacked), len(jets)
+        ratios, k = self.limits.ratios(np.stack(motion)), len(jets)
         over = np.sign(ratios) * np.maximum(np.abs(ratios) - 1.0, 0.0)
         loss = -information + weight * float((over**2).sum()) / k
-        slope = 2 * weight / k * over * self.limits.slope - rate
-        return loss, np.asarray(np.tensordot(self._basis, self._pulled_back(jets, slope), ((0, 1), (1, 0))), float)
-
-    def _pulled_back(self, jets: Array, slope: Array) -> Array:
-        """Return the derivative (k, 5, n) in the jets of a function with derivative (8, k, n) in the motion."""
-        torque = slope[7] @ np.linalg.inv(self.robot.B_m)
-        bars = (slope[3], slope[4], slope[5], slope[6], torque)
-        given = [jets[:, row].T for row in range(JETS)] + [bar.T for bar in bars]
-        pulled = [rows.full().T for rows in self._adjoint(*given)]
-        return np.stack([*(pulled[row] + slope[row] for row in range(3)), *pulled[3:]], axis=1)
+        slope = 2 * weight / k * over * self.limits.slope - rate  # by the motion (8, k, n)
+        columns = (each.reshape(k, -1).T for each in (jets, slope.swapaxes(0, 1)))
+        by_jets = self._adjoint(*columns).full().T.reshape(jets.shape)
+        return loss, np.asarray(np.tensordot(self._basis, by_jets, ((0, 1), (1, 0))), float)
 
     @cached_property
-    def _inverse_dynamics(self) -> ca.Function:
-        return compiled(inverse_dynamics(self.robot)).map(len(self._instants))
+    def _motion(self) -> ca.Function:
+        return compiled(motion_function(self.robot)).map(len(self._instants))
 
     @cached_property
     def _adjoint(self) -> ca.Function:
-        """Build (q .. d4q, adjoints of the fields of MotorMotion) -> adjoints of q .. d4q, at all instants."""
-        n, forward = self.robot.n, inverse_dynamics(self.robot)
-        motion = [ca.SX.sym(name, n) for name in forward.name_in()]
-        bars = [ca.SX.sym(f"bar{i}", n) for i in range(forward.n_out())]
-        total = ca.vertcat(*(ca.densify(value) for value in forward(*motion)))
-        adjoint = ca.jtimes(total, ca.vertcat(*motion), ca.vertcat(*bars), True)
-        parts = ca.vertsplit(ca.densify(adjoint), n)
-        function = ca.Function("inverse_dynamics_adjoint", [*motion, *bars], parts, {"cse": True})
+        """Build (q .. d4q, derivative by the motion (8 n,)) -> derivative by q .. d4q (5 n,), at all instants."""
+        motion = motion_function(self.robot)
+        jets, slope = ca.SX.sym("jets", motion.size1_in(0)), ca.SX.sym("slope", motion.size1_out(0))
+        adjoint = ca.jtimes(motion(jets), jets, slope, True)
+        function = ca.Function("elastic_motion_adjoint", [jets, slope], [ca.densify(adjoint)], {"cse": True})
         return compiled(function).map(len(self._instants))
 
     def least_gain(self, c: Array, bounds: Array) -> float:
@@ -239,7 +229,7 @@ class ExcitationDesign:
         """
         k = FINE * len(self._instants)
         basis = self.series.jet_basis(np.arange(k) * self.series.period / k)
-        function = compiled(inverse_dynamics(self.robot)).map(k)
+        function = compiled(motion_function(self.robot)).map(k)
 
         def scaled(factor: float) -> Array:
             return np.vstack([factor * c[:-1], c[-1:]])
