@@ -32,8 +32,6 @@ IN_CACHE = 5_000  # cells times cubed joints, to which the size of their models 
 CLIMBS = 6  # corners of a tube that are tried for the largest V
 
 Found = TypeVar("Found")
-Enclosure = list[TaylorModels]
-"""Models that together contain an output of a function: one if verified, else points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +126,14 @@ class Ranges:
         torque = np.zeros(3 * n)
         acting, share = self._cells.acting(self.blocks, self._whole)
         rates = self._range(self._model.defect, acting)[1]
-        rate = [models.mean_within(share) for models in rates]
+        rate = rates.mean_within(share)
         inertias = self._inertias(self.low, self.high)
         torque[n : 2 * n] = age * np.max(
             [self._apart(rate, -f * known.aging[:, n : 2 * n]) / f for f in inertias], axis=0
         )
         defect, _ = self._range(self._model.defect, self._cells.sampling(self.blocks))
-        largest = np.max([m.magnitude.max(axis=1) for m in rates], axis=0)
-        late = [self._cells.sample_period * largest / np.minimum(*inertias)] if self.linear.late else []
+        largest = self._cells.sample_period * rates.magnitude.max(axis=1)
+        late = [largest / np.minimum(*inertias)] if self.linear.late else []
         return np.concatenate([torque, *late, self._apart(defect, known.effort[:, :, 0])])
 
     def mismatch(
@@ -205,7 +203,7 @@ class Ranges:
         if not self._cells.verified:
             return self._sampled_storage(tube)
         try:
-            ((V,),) = self._range(self._model.storage, self._cells.windows(self.blocks), tube)
+            (V,) = self._range(self._model.storage, self._cells.windows(self.blocks), tube)
         except (ZeroDivisionError, StateError):
             return np.inf
         return float(V.magnitude.max())
@@ -252,13 +250,14 @@ class Ranges:
 
     def _range(
         self, function: ca.Function, window: CellTimes, tube: Tube | None = None, acceleration: Array | None = None
-    ) -> list[Enclosure]:
-        """Return the ranges of each output in windows, a tube, deviations of the acceleration and the factors."""
+    ) -> list[TaylorModels]:
+        """Return models of each output in windows, a tube, deviations of the acceleration and the factors.
+
+        Those of sampled cells are its values at points.
+        """
         if self._cells.verified:
-            results = taylor_function(function)(*self._models(function.name_in(), window, tube, acceleration))
-            return [[models] for models in results]
-        points = [[TaylorModels.exact(y) for y in _called(function, point)] for point in self._points(window, tube)]
-        return list(map(list, zip(*points, strict=True)))
+            return taylor_function(function)(*self._models(function.name_in(), window, tube, acceleration))
+        return [TaylorModels.exact(y) for y in _called(function, self._points(window, tube))]
 
     def _models(
         self, names: list[str], window: CellTimes, tube: Tube | None, acceleration: Array | None
@@ -285,17 +284,17 @@ class Ranges:
             else:
                 yield TaylorModels.exact(c, shape)
 
-    def _points(self, window: CellTimes, tube: Tube | None) -> Iterator[dict[str, Array]]:
-        """Yield arguments at three instants of windows: the middles and random corners of tube and factors."""
+    def _points(self, window: CellTimes, tube: Tube | None) -> dict[str, Array]:
+        """Return arguments at three instants of windows: the middles and random corners of tube and factors."""
         along = self._along(window)
         if tube is None:
-            yield along
-            return
-        columns, k = tube.columns[0], len(along["c"].T)
-        corners = np.random.default_rng(SEED).choice([-1.0, 1.0], (POINTS - 1, tube.symbols, k))
-        for signs in (np.zeros((tube.symbols, k)), *corners):
-            z, f = np.split(columns @ signs, [4 * self.linear.n])
-            yield along | {"z": z, "f": along["c"] + f}
+            return along
+        size = tube.symbols, along["c"].shape[1]
+        corners = np.random.default_rng(SEED).choice([-1.0, 1.0], (POINTS - 1, *size))
+        signs = np.concatenate([np.zeros(size), *corners], axis=1)
+        z, f = np.split(tube.columns[0] @ signs, [4 * self.linear.n])
+        along = {name: np.tile(values, POINTS) for name, values in along.items()}
+        return along | {"z": z, "f": along["c"] + f}
 
     def _along(self, window: CellTimes) -> dict[str, Array]:
         """Return the arguments along the centre motion at three instants of the sampled windows."""
@@ -304,29 +303,24 @@ class Ranges:
         (motors,) = columnwise(self._model.motors, path, c)
         return {"path": path, "motors": motors, "jets": self._cells.columns(t), "c": c}
 
-    def _apart(self, enclosure: Enclosure, known: Array) -> Array:
+    def _apart(self, models: TaylorModels, known: Array) -> Array:
         """Return the largest distances (size,) of an output from known values (c, size) of the cells."""
-        at_points = self._at_points(known).T
-        return np.asarray(np.max([models.minus(at_points).magnitude for models in enclosure], axis=(0, 2)))
+        return np.asarray(models.minus(self._at_points(known, models).T).magnitude.max(axis=1))
 
-    def _matrices_apart(self, enclosure: Enclosure, middle: Array, left: Array, right: Array) -> MatrixModels:
+    def _matrices_apart(self, models: TaylorModels, middle: Array, left: Array, right: Array) -> MatrixModels:
         """Return left (X - middle) right for matrices X; left, middle: of the cells (c, ..), or left of all.
 
         The signs of a model's coefficients are kept, so that X acts on the coordinates, not on the joints.
         """
         rows, columns = middle.shape[1:]
-        known = self._at_points(middle.transpose(0, 2, 1).reshape(len(middle), -1)).T
-        left = self._at_points(left) if left.ndim == 3 else left
-        values = []
-        for models in enclosure:
-            apart = models.minus(known).values
-            matrices = MatrixModels(apart.reshape(len(apart), columns, rows, -1), models.shape)
-            values.append(matrices.between(left, right).values)
-        return MatrixModels(np.concatenate(values), enclosure[0].shape)
+        known = self._at_points(middle.transpose(0, 2, 1).reshape(len(middle), -1), models).T
+        left = self._at_points(left, models) if left.ndim == 3 else left
+        apart = models.minus(known).values
+        return MatrixModels(apart.reshape(len(apart), columns, rows, -1), models.shape).between(left, right)
 
-    def _at_points(self, of_cells: Array) -> Array:
-        """Return values (c, ..) of the cells at the instants of the ranges."""
-        return np.concatenate([of_cells[self.at]] * (1 if self._cells.verified else len(INSTANTS)))
+    def _at_points(self, of_cells: Array, models: TaylorModels) -> Array:
+        """Return values (c, ..) of the cells for each model: the cells are in the same order at all points."""
+        return np.concatenate([of_cells[self.at]] * (len(models.values) // len(self.at)))
 
 
 def _with_factors(lines: Array) -> Array:
