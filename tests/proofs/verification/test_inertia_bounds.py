@@ -52,7 +52,9 @@ def evaluated(inertia: NormalisedInertia, q: Array) -> Array:
 
 
 def plain(chain: Chain) -> NormalisedInertia:
-    return normalised(inertia_polynomial(chain.links.bodies), Interval.exact(np.eye(chain.n)))
+    bodies = chain.links.bodies
+    prismatic = tuple(body.prismatic for body in bodies[1:])
+    return normalised(inertia_polynomial(bodies), prismatic, Interval.exact(np.eye(chain.n)))
 
 
 def random_box(rng: np.random.Generator, n: int) -> Array:

@@ -157,8 +157,9 @@ class Pairs:
         small = np.full((5 if linear.late else 4) * linear.n, SMALL)
         found: list[Mismatch] = []
         for known in started:
-            ranges = Ranges(linear, self.ranges.low, self.ranges.high, self.ranges.blocks, known.ranges.at)
-            mismatch = ranges.mismatch(tube.z, small, known.lines, known.accelerations, acceleration)
+            mismatch = self.ranges.of(known.ranges.at).mismatch(
+                tube.z, small, known.lines, known.accelerations, acceleration
+            )
             if mismatch is None:
                 return False
             found.append(mismatch)

@@ -99,9 +99,9 @@ class Ranges:
         """Number u of uncertain factors."""
         return len(self.low)
 
-    def sparse(self, step: int) -> Ranges:
-        """Return the ranges in every `step`-th of these cells."""
-        return Ranges(self.linear, self.low, self.high, self.blocks, self.at[::step])
+    def of(self, at: Indices) -> Ranges:
+        """Return the ranges in other cells."""
+        return Ranges(self.linear, self.low, self.high, self.blocks, at)
 
     def known_errors(self) -> KnownErrors:
         """Return known torques and efforts: of the centre motion, and by each uncertain factor."""
@@ -169,9 +169,8 @@ class Ranges:
         processors = cpu_count() or 1
         count = min(1 + IN_CACHE // self.linear.n**3, 1 + len(self.at) // processors)
         parts = [slice(first, first + count) for first in range(0, len(self.at), count)]
-        given = self.linear, self.low, self.high, self.blocks
         with ThreadPoolExecutor(processors) as pool:
-            return list(pool.map(found, [Ranges(*given, self.at[cells]) for cells in parts], parts))
+            return list(pool.map(found, [self.of(self.at[cells]) for cells in parts], parts))
 
     def of_factors(self, disturbances: int, lines: Array) -> Iterator[Mismatch]:
         """Yield what each factor alone contributes to the differences from the linear model along the lines."""

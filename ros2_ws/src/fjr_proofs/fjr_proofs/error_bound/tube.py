@@ -166,9 +166,9 @@ class Known:
     @property
     def sparse(self) -> Known:
         """What is known in one of SPARSE cells, if they are verified; else in all."""
-        step = SPARSE if self.ranges.linear.centre.cells.verified else 1
-        lines, accelerations = self.lines[::step], self.accelerations[::step]
-        return replace(self, ranges=self.ranges.sparse(step), lines=lines, accelerations=accelerations)
+        some, ranges = slice(None, None, SPARSE if self.ranges.linear.centre.cells.verified else 1), self.ranges
+        lines, accelerations = self.lines[some], self.accelerations[some]
+        return replace(self, ranges=ranges.of(ranges.at[some]), lines=lines, accelerations=accelerations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +244,7 @@ class TubeProblem:
         def respond(errors: KnownErrors) -> Response:
             return course(linear, np.zeros((len(start), errors.torque.shape[2])), at, errors.followed_by(later))
 
-        ranges = Ranges(linear, self.ranges.low, self.ranges.high, blocks, at[:blocks])
+        ranges = self.ranges.of(at[:blocks])
         known = self._known(ranges, self._known_errors.at(ranges.at), first, lines, respond)
         last = np.repeat(at, samples)[-2 * margin * samples :]
         left = np.abs(known.whole.Z[-len(last) :] - self.steady.whole.Z[last]).sum(axis=2).max(axis=0)

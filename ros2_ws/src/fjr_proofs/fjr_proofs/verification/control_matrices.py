@@ -27,7 +27,7 @@ from fjr_core.errors import RobotError
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import UP, Interval, U, cosine, product, sine, stack
 
-from .inertia_polynomial import InertiaPolynomial, from_nodes, pairs, waves
+from .inertia_polynomial import from_nodes, pairs, waves
 
 LONGEST_ARC = 2.5
 """Longest arc [rad] with control values of its own; a longer one is part of the whole circle."""
@@ -135,8 +135,8 @@ def _powers(value: Interval, degree: int) -> list[Interval]:
 class NormalisedInertia:
     """The polynomial N(q) = X M_l(q) X', with X the inverse Cholesky factor of a positive definite matrix A.
 
-    coefficients (n (n + 1) / 2, d_2, .., d_n): as of InertiaPolynomial. rad (n (n + 1) / 2,): bound of their errors.
-    identity_error: bound of the norm of X A X' - I.
+    coefficients (n (n + 1) / 2, d_2, .., d_n): of the entries i <= j. rad (n (n + 1) / 2,): bound of their errors.
+    prismatic (n - 1,): of the joints 2 .. n, which are the axes. identity_error: bound of the norm of X A X' - I.
     """
 
     coefficients: Array
@@ -151,9 +151,12 @@ class NormalisedInertia:
         return len(self.prismatic) + 1
 
 
-def normalised(polynomial: InertiaPolynomial, A: Interval) -> NormalisedInertia:
-    """Return X M_l X' for a symmetric positive definite matrix A (n, n); raise RobotError if it is singular."""
-    n, M = polynomial.n, polynomial.coefficients
+def normalised(M: Interval, prismatic: tuple[bool, ...], A: Interval) -> NormalisedInertia:
+    """Return X M_l X' for a symmetric positive definite matrix A (n, n); raise RobotError if it is singular.
+
+    M: coefficients of M_l. prismatic: as of NormalisedInertia.
+    """
+    n = len(A.mid)
     X = Interval.exact(np.linalg.inv(np.linalg.cholesky(A.mid)))
     E = product(X, product(X, A), axis=1) - Interval.exact(np.eye(n))
     error = float(UP * np.max(np.sum(E.magnitude, axis=1)))
@@ -166,9 +169,8 @@ def normalised(polynomial: InertiaPolynomial, A: Interval) -> NormalisedInertia:
     rad, largest = (np.max(part.reshape(len(part), -1), axis=1) for part in (M.rad, np.abs(M.mid)))
     size, gamma = np.abs(congruence.mid) + congruence.rad, (len(rad) + 1) * U
     errors = size @ rad + (congruence.rad + gamma * size) @ (largest + rad)
-    return NormalisedInertia(
-        along(congruence.mid, M.mid, 0), (1 + 4 * gamma) * UP * errors, polynomial.prismatic, X.mid, error
-    )
+    values = along(congruence.mid, M.mid, 0)
+    return NormalisedInertia(values, (1 + 4 * gamma) * UP * errors, prismatic, X.mid, error)
 
 
 @dataclass(frozen=True, eq=False)

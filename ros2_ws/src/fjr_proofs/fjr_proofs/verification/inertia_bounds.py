@@ -29,7 +29,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.intervals import UP, Interval, U, factorisable, trace_factor
 
 from .control_matrices import ControlMatrices, NormalisedInertia, along, control_matrices, normalised
-from .inertia_polynomial import SIZES, InertiaPolynomial, inertia_polynomial, number_of_coefficients, pairs
+from .inertia_polynomial import SIZES, inertia_polynomial, number_of_coefficients, pairs
 
 MOST_COEFFICIENTS = 5**7
 """Largest number of control matrices: eight revolute joints."""
@@ -118,7 +118,9 @@ def largest_inertia(
     order = list(links.order)  # joint k of the robot is joint order[k] of the chain
     base, *outer = in_chain = np.argsort(order)
     A = checks.positive_definite("A", checks.matrix("A", A, robot.n, StateError), StateError)
-    inertia = normalised(_polynomial(pickle.dumps(links.bodies)), Interval.exact(A[np.ix_(in_chain, in_chain)]))
+    prismatic = tuple(body.prismatic for body in links.bodies[1:])
+    M_l = _polynomial(pickle.dumps(links.bodies))
+    inertia = normalised(M_l, prismatic, Interval.exact(A[np.ix_(in_chain, in_chain)]))
     lower, upper, whole = _covered(robot, domain)
 
     def complete(q: Array) -> Array:
@@ -163,7 +165,7 @@ def _covered(robot: Robot, domain: Domain) -> tuple[Array, Array, NDArray[np.boo
 
 
 @lru_cache(maxsize=2)
-def _polynomial(bodies: bytes) -> InertiaPolynomial:
+def _polynomial(bodies: bytes) -> Interval:
     return inertia_polynomial(pickle.loads(bodies))
 
 

@@ -11,7 +11,6 @@ together: each joint has an axis, along which only what depends on it has more t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement
 from math import pi
@@ -40,22 +39,6 @@ OPERATIONS: dict[int, Callable[[Interval, Interval], Interval]] = {
 """Operations of an inertia matrix."""
 
 
-@dataclass(frozen=True, eq=False)
-class InertiaPolynomial:
-    """M_l of n joints: coefficients (n (n + 1) / 2, d_2, .., d_n) of the entries i <= j, row by row.
-
-    prismatic (n - 1,): of the joints 2 .. n, which are the axes.
-    """
-
-    coefficients: Interval
-    prismatic: tuple[bool, ...]
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.prismatic) + 1
-
-
 def pairs(n: int) -> list[tuple[int, int]]:
     """Return the entries (i, j), i <= j, of a symmetric matrix in the order of the coefficients."""
     return list(combinations_with_replacement(range(n), 2))
@@ -66,8 +49,11 @@ def number_of_coefficients(bodies: Sequence[Body]) -> int:
     return int(np.prod([SIZES[body.prismatic] for body in bodies[1:]], dtype=float))
 
 
-def inertia_polynomial(bodies: Sequence[Body]) -> InertiaPolynomial:
-    """Return M_l of a serial chain from base to tip."""
+def inertia_polynomial(bodies: Sequence[Body]) -> Interval:
+    """Return the coefficients (n (n + 1) / 2, d_2, .., d_n) of M_l of a serial chain from base to tip.
+
+    They are those of the entries i <= j, row by row; the axes are the joints 2 .. n.
+    """
     n, prismatic = len(bodies), tuple(body.prismatic for body in bodies[1:])
     q, numbers, chain = ca.SX.sym("q", n), ca.SX.sym("numbers", 13, n), z_aligned(bodies)
     M_l = ChainAt(chain, [_moments(of_body) for of_body in ca.horzsplit(numbers)], np.zeros(3), q).inertia()
@@ -77,7 +63,7 @@ def inertia_polynomial(bodies: Sequence[Body]) -> InertiaPolynomial:
     at = [nodes(slides).reshape(*np.where(np.arange(n - 1) == axis, -1, 1)) for axis, slides in enumerate(prismatic)]
     base, *constants = (Interval.exact(np.full((1,) * (n - 1), number)) for number in (0.0, *given))
     values = _values(entries, [base, *at, *constants])
-    return InertiaPolynomial(stack([_coefficients(value, prismatic) for value in values]), prismatic)
+    return stack([_coefficients(value, prismatic) for value in values])
 
 
 def _moments(numbers: ca.SX) -> Mass:
