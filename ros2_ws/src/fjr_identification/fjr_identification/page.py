@@ -20,29 +20,8 @@ from .estimation.validation import HoldOut
 
 STIFFNESS = "joint_stiffness"
 HOLD_OUT = ("", "this model", "rigid joints", "without skew")
-HOLD_OUT_TEXT = (
-    "Root mean square of the deflection q_m - q_l that a model leaves unexplained, relative to all of it, on a record "
-    "from which nothing was identified. Rigid joints: no deflection, the skew alone. Without skew: the springs alone."
-)
-TEXT = (
-    "Bars: 95 % interval, value as a line, prior dotted. Positive parameters have a logarithmic axis from a quarter to "
-    "four times the value, others a linear one. A parameter that is not identifiable keeps its prior. Numbers refer to "
-    "the reasons below the table."
-)
-FOOTER = (
-    "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. robot.yaml and "
-    "identification.json are in the same folder. Needs no network."
-)
-BY_SEGMENTS = (
-    "Each segment of the record is predicted from its first state; the states of all segments are identified, too."
-)
-BY_MOTION = (
-    "Torques that the model lacks move the joints too far for a simulation. The deflections follow from the filtered "
-    "motion of the record and the identified parameters; nothing is simulated."
-)
 COLOURS = {IDENTIFIED: "ok", WEAK: "maybe", UNKNOWN: "no"}
 WIDEST = 4.0  # factor between the value and each end of the axis of a positive parameter
-BAR_HEAD = "interval, value, prior"
 LONGEST_LAG = 1.0  # s
 MOST_LAGS = 1000
 TITLES = {"q_l": "links", "q_m": "motors", "torque": "torque sensors", DEFLECTION: "deflections"}
@@ -78,15 +57,10 @@ def write_page(
         ],
         groups=groups(identification),
         reasons=list(reasons(identification).items()),
-        parameters_text=TEXT,
-        bar_head=BAR_HEAD,
-        hold_outs=[(f"Hold-out: {held.record}", hold_out_rows(held), HOLD_OUT_TEXT) for held in hold_outs],
+        hold_outs=[(f"Hold-out: {held.record}", hold_out_rows(held)) for held in hold_outs],
         hold_out_head=HOLD_OUT,
-        sections=[
-            (place, fit.record, BY_MOTION if DEFLECTION in fit.measured else BY_SEGMENTS) for place, fit in pairs
-        ],
+        sections=[(place, fit.record, DEFLECTION not in fit.measured) for place, fit in pairs],
         json=html.as_json(identification.as_dict()),
-        footer=FOOTER,
     )
     return path
 
