@@ -7,7 +7,7 @@ setup(
     name=package_name,
     version="0.1.0",
     packages=find_packages(),
-    package_data={package_name: ["py.typed", "estimation/*.[ch]"]},
+    package_data={package_name: ["py.typed", "estimation/*.[ch]", "templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
@@ -20,6 +20,7 @@ setup(
             "fjr_monitor[commands]",
             "fjr_design[commands]",
             "click>=8.2",
+            "jinja2>=3.1",
             "mcap>=1.1",
             "pyarrow>=15",
         ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -54,34 +54,6 @@ MOTION = ("amplitude", "frequency", "offset", "phase")
 STABLE_STEP = 2.0  # friction rate times inner step; Runge-Kutta 4 is stable below 2.78
 MOST_STEPS = 200
 MARGIN = 2.0  # of the steps, for links that are lighter elsewhere than at zero
-HEAD = """\
-# {name}, identified from {records}. Written by `fjr identify`.
-# A scenario: fjr check {file}, fjr run {file} --lockstep. As `robot.file` of another one it gives joints, robot and
-# imperfections. Intervals are of 95 %; identification.json has them all, identification.html shows the fit.
-/**:
-  ros__parameters:
-"""
-LOOP = """\
-/**/fjr_plant:   # the simulated arm: at rest next to the reference
-  ros__parameters:
-    publish_rate: {rate}          # Hz
-    inner_steps: {steps}
-    initial_link_position: {q_l}
-    initial_motor_position: {q_m}
-/**/fjr_controller:
-  ros__parameters:
-    gains:   # beta {beta:g} 1/s {where}; others: fjr gains {file} --write --beta RATE
-{gains}
-    reference:
-      type: sine
-      amplitude: {amplitude}
-      frequency: {frequency}   # rad/s
-      offset: {offset}
-      phase: {phase}
-    on_stop: gravity_hold
-    start: {{ramp_time: 0.1}}       # s
-    state_timeout: 0.2            # s
-"""
 
 
 @dataclass(frozen=True)
@@ -184,18 +156,31 @@ class IdentifiedRobot:
 
     def file(self, folder: Path, records: Sequence[str], name: str) -> RobotFile:
         """Return the robot file of this name for a folder; without a loop if no gains are found."""
+        from jinja2 import Environment, PackageLoader, StrictUndefined  # a tenth of a second, only where it is written
+
         values, joints, title = self.values(folder), self.nominal.joints, self.nominal.name
         urdf = self.corrected_urdf or self.nominal.given.get(URDF)
         absolute = {**values, **({} if urdf is None else {URDF: urdf})}
-        robot = build_robot(complete(robot_parameters(absolute), absolute))
-        head = HEAD.format(name=title, records=", ".join(records), file=name)
-        body = [head, *self._robot_lines(values), *self._imperfection_lines(robot), *self._left_out()]
-        text = "\n".join(line.rstrip("\n") for line in body) + "\n"
+        robot, reason, tracking = build_robot(complete(robot_parameters(absolute), absolute)), "", None
         try:
-            proposal = proposal_of(robot, joints, title, self.effort_delay)
+            tracking = self._tracking(robot, proposal_of(robot, joints, title, self.effort_delay))
         except (GainsError, TrajectoryError) as error:
-            return RobotFile(text, str(error))
-        return RobotFile(text + self._loop(robot, proposal, name))
+            reason = str(error)
+        tree = ros_yaml.tree_of({key: _value(value) for key, value in values.items() if key != "joints"})["robot"]
+        found = PackageLoader("fjr_identification")
+        templates = Environment(loader=found, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
+        text = templates.get_template("robot.yaml").render(
+            name=title,
+            records=", ".join(records),
+            file=name,
+            described=lambda names: [described(each) for one in names for each in self._of(one)],
+            joints=_value(values["joints"]),
+            robot=tree,
+            imperfections=self._imperfections(robot),
+            others=self._left_out(),
+            tracking=tracking,
+        )
+        return RobotFile(text, reason)
 
     def _of(self, name: str) -> list[Estimate]:
         return [estimate for estimate in self.identification.estimates if estimate.name == name]
@@ -218,42 +203,23 @@ class IdentifiedRobot:
         values = np.asarray(changed[f"robot.{name}"], dtype=float)
         return float(values[j] if values.size == n else np.diag(values.reshape(n, -1))[j])
 
-    def _robot_lines(self, values: Mapping[str, object]) -> Iterator[str]:
-        yield f"    joints: {_value(values['joints'])}"
-        yield "    robot:"
-        tree = ros_yaml.tree_of({name: value for name, value in values.items() if name != "joints"})["robot"]
-        for key, value in tree.items():
-            yield from self._comments(key)
-            if isinstance(value, dict):
-                yield f"      {key}:   # reported until they are replaced"
-                yield from (f"        {name}: {_value(entry)}" for name, entry in value.items())
-            else:
-                yield f"      {key}: {_value(value)}"
-
-    def _imperfection_lines(self, robot: Robot) -> list[str]:
-        """Return friction, payload and delay for the simulated arm."""
-        lines: list[str] = []
-        for name, field in FRICTION.items():
-            if self._of(name):
-                lines += [*self._comments(name), f"      {name}: {_numbers(self._levels[field])}"]
+    def _imperfections(self, robot: Robot) -> list[tuple[Sequence[str], dict[str, str]]]:
+        """Return friction, payload and delay of the simulated arm: what was identified, and the values that follow."""
+        levels = self._levels
+        found: list[tuple[Sequence[str], dict[str, str]]]
+        found = [([name], {name: _numbers(levels[field])}) for name, field in FRICTION.items() if self._of(name)]
         if self._of(STRIBECK):
             falling = _numbers(self._of_joints(STRIBECK, USUAL_STRIBECK))
-            lines += [
-                *self._comments(STRIBECK),
-                *(f"      {side}_stribeck_velocity: {falling}" for side in ("link", "motor")),
-            ]
-        if lines:
-            written = _numbers(self._smoothing(robot))
-            lines += [*self._comments(SMOOTHING), f"      {SMOOTHING}: {written}   # enough to be integrated"]
+            found.append(([STRIBECK], {f"{side}_stribeck_velocity": falling for side in ("link", "motor")}))
+        if found:
+            found.append(([SMOOTHING], {SMOOTHING: f"{_numbers(self._smoothing(robot))}   # enough to be integrated"}))
         if self._of(PAYLOAD[0]):
             mass, *place = (significant(self._of(name)[0].value) for name in PAYLOAD)
-            lines += [line for name in PAYLOAD for line in self._comments(name)]
-            lines += [f"      payload_mass: {significant(max(0.0, mass))}", f"      payload_position: {_value(place)}"]
+            found.append((PAYLOAD, {"payload_mass": f"{max(0.0, mass)}", "payload_position": _value(place)}))
         if self._of("effort_delay"):
             delay = significant(max(0.0, self.effort_delay))
-            lines += self._comments("effort_delay")
-            lines.append(f"      command_delay: {delay}   # s, the largest of all joints")
-        return ["    imperfections:   # of the simulated arm", *lines] if lines else []
+            found.append((["effort_delay"], {"command_delay": f"{delay}   # s, the largest of all joints"}))
+        return found
 
     @property
     def _levels(self) -> dict[str, Array]:
@@ -269,33 +235,27 @@ class IdentifiedRobot:
         return np.maximum(self._of_joints(SMOOTHING, self.nominal.smoothing), least)
 
     def _left_out(self) -> list[str]:
-        """Return comments on what no parameter of a scenario expresses."""
+        """Return the estimates that no parameter of a scenario expresses, in words."""
         placed = {*MATRICES, HARDENING, *FRICTION, STRIBECK, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
         estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
-        others = [f"    #   {described(estimate)}" for estimate in estimates if estimate.name not in placed]
-        return ["    # Without a parameter here; correct these in the driver:", *others] if others else []
+        return [described(estimate) for estimate in estimates if estimate.name not in placed]
 
-    def _comments(self, name: str) -> list[str]:
-        """Return a line for each joint with interval and verdict of a parameter."""
-        return [f"      # {described(estimate)}" for estimate in self._of(name)]
-
-    def _loop(self, robot: Robot, proposal: Proposal, file: str) -> str:
-        """Return the sections of the single nodes; integrator steps per sample as springs and friction need them."""
+    def _tracking(self, robot: Robot, proposal: Proposal) -> dict[str, object]:
+        """Return the values of the loop; integrator steps per sample as springs and friction need them."""
         motion, gains, n = proposal.motion, proposal.gains, robot.n
         turning = Imperfections(n, **self._levels, smoothing=self._smoothing(robot))
         rate = friction_rate(turning, robot.M_l(proposal.q_l), robot.M_m, largest_load(robot, proposal.q_l))
         entries = {key.partition(".")[2]: values for key, values in gain_values(gains.gains, n).items()}
-        return LOOP.format(
-            rate=RATE,
-            steps=min(MOST_STEPS, max(proposal.inner_steps, math.ceil(rate / RATE / STABLE_STEP))),
-            q_l=_numbers(proposal.q_l),
-            q_m=_numbers(proposal.q_m),
-            beta=gains.beta,
-            where=gains.where,
-            file=file,
-            gains="\n".join(gain_lines(entries, n, indent=6)),
+        return {
+            "rate": RATE,
+            "steps": min(MOST_STEPS, max(proposal.inner_steps, math.ceil(rate / RATE / STABLE_STEP))),
+            "q_l": _numbers(proposal.q_l),
+            "q_m": _numbers(proposal.q_m),
+            "beta": gains.beta,
+            "where": gains.where,
+            "gains": "\n".join(gain_lines(entries, n, indent=6)),
             **{name: _numbers(np.atleast_1d(getattr(motion, name))) for name in MOTION},
-        )
+        }
 
 
 def described(estimate: Estimate) -> str:

@@ -75,22 +75,16 @@ class ElasticArm:
 
     @cached_property
     def link_torque(self) -> ca.Function:
-        """Return the function (q, v, a, parameters) -> M_l a + C v + grad P_l (n,) [N m]."""
-        s, torque = self._link_torque()
-        return dense_function("link_torque", s, {"torque": torque}, cse=True)
+        """Return the function (q, v, a, parameters) -> M_l a + C v + grad P_l (n,) [N m], and its derivatives (n m,).
 
-    @cached_property
-    def link_torque_slopes(self) -> ca.Function:
-        """Return the function (q, v, a, parameters) -> derivatives (n, m) of link_torque by its m free parameters."""
-        s, torque = self._link_torque()
-        slopes = ca.jacobian(torque, s["parameters"])[:, self._entries(OF_LINKS)]
-        return dense_function("link_torque_slopes", s, {"slopes": ca.vec(ca.densify(slopes))}, cse=True)
-
-    def _link_torque(self) -> tuple[dict[str, ca.SX], ca.SX]:
+        These are by its m free parameters.
+        """
         n = self.robot.n
         s = symbols(q=n, v=n, a=n, parameters=self.layout.size)
         *motion, parameters = s.values()
-        return s, self._links(self.layout.named(parameters), *motion)[1]
+        torque = self._links(self.layout.named(parameters), *motion)[1]
+        slopes = ca.jacobian(torque, parameters)[:, self._entries(OF_LINKS)]
+        return dense_function("link_torque", s, {"torque": torque, "slopes": ca.vec(ca.densify(slopes))}, cse=True)
 
     @cached_property
     def link_inertia(self) -> ca.Function:

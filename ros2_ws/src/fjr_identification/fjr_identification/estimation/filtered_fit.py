@@ -123,9 +123,8 @@ class FilteredEquations:
             return motion.rigid, {}
         arm = self.setup.arm(self.setup.coordinates)
         n, values, arguments = arm.robot.n, packed(arm, self.p), (motion.q_l.T, motion.v_l.T, motion.a_l.T)
-        torque = np.asarray(arm.link_torque(*arguments, values)).T
-        slopes = np.asarray(arm.link_torque_slopes(*arguments, values)).reshape(n * len(free), -1)
-        return torque, {parameter: slopes[k * n : (k + 1) * n].T for k, parameter in enumerate(free)}
+        torque, slopes = (np.asarray(each) for each in arm.link_torque(*arguments, values))
+        return torque.T, {parameter: slopes[k * n : (k + 1) * n].T for k, parameter in enumerate(free)}
 
     def _spring_torque(self, record: int, j: int) -> tuple[Array, Columns, Array]:
         """Return tau (k,) of joint j, its derivatives, and the position of the link, at the link's skew."""

@@ -226,7 +226,7 @@ def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array])
     no_link, no_motor = (np.all(np.isnan(q), axis=0) for q in (record.q_l, record.q_m))
     q_l[:, no_link], q_m[:, no_motor] = q_m[:, no_link], q_l[:, no_motor]
     motion = (smoothed(q_l, record.dt, order).T for order in range(3))
-    rigid = np.asarray(arm.link_torque(*motion, packed(arm, values)).full().T)
+    rigid = np.asarray(arm.link_torque(*motion, packed(arm, values))[0].full().T)
     sensed = np.isfinite(record.torque).any(axis=0)
     torque = np.where(sensed, _filled(record.torque), rigid)
     stiffness = zip(values["joint_stiffness"], values[HARDENING], torque.T, strict=True)
