@@ -41,7 +41,11 @@ POSES = "needs poses in which its weight pulls elsewhere"
 RANGE = "needs a larger range of the joint"
 TORQUES = "the torques of the motion do not depend on it enough; use other poses, faster motion"
 STRIBECK, USUAL_STRIBECK = "stribeck_velocity", 0.1  # rad/s
+PAYLOAD = ("payload_mass", "payload_position_x", "payload_position_y", "payload_position_z")
+POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")
 LOG_CHOLESKY = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
+PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)
+"""Correction of the mass and inertia of each link (elastic_arm.corrected_chain); 0 is the robot file's."""
 KINDS = {
     "joint_stiffness": Kind(
         "N m/rad", LOG, "the spring deflects too little against the noise; use larger loads or accelerations", 0.7
@@ -70,25 +74,16 @@ KINDS = {
         "rad", LINEAR, "needs spring torques of both signs, or a known one; change the load of the joint", 0.02
     ),
     "payload_mass": Kind("kg", NONNEGATIVE, "the payload changes the torques too little; move the joints that lift it"),
-    "payload_position_x": Kind("m", LINEAR, POSES, 0.2),
-    "payload_position_y": Kind("m", LINEAR, POSES, 0.2),
-    "payload_position_z": Kind("m", LINEAR, POSES, 0.2),
-    "position_torque_sin1": Kind("N m", LINEAR, RANGE),
-    "position_torque_cos1": Kind("N m", LINEAR, RANGE),
-    "position_torque_sin2": Kind("N m", LINEAR, RANGE),
-    "position_torque_cos2": Kind("N m", LINEAR, RANGE),
-    **{f"pseudo_inertia_{name}": Kind("", LINEAR, TORQUES, 0.1) for name in LOG_CHOLESKY},
+    **dict.fromkeys(PAYLOAD[1:], Kind("m", LINEAR, POSES, 0.2)),
+    **dict.fromkeys(POSITION_TORQUE, Kind("N m", LINEAR, RANGE)),
+    **dict.fromkeys(PSEUDO_INERTIA, Kind("", LINEAR, TORQUES, 0.1)),
     "effort_delay": Kind("s", LINEAR, "needs efforts that change quickly; use faster reversals", 3e-3),
     "link_skew": Kind("s", LINEAR, "needs velocities that change; move faster", 3e-3),
     "torque_skew": Kind("s", LINEAR, "needs spring torques that change quickly; use faster reversals", 3e-3),
 }
 """All parameters by name."""
-PAYLOAD = ("payload_mass", "payload_position_x", "payload_position_y", "payload_position_z")
-PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)
-"""Correction of the mass and inertia of each link (elastic_arm.corrected_chain); 0 is the robot file's."""
 OF_LINKS = (*PAYLOAD, *PSEUDO_INERTIA)
 """Parameters that the torques of the rigid links depend on."""
-POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")
 SMOOTHING = "friction_smoothing_velocity"
 """Velocity v_0 over which the friction of a joint turns over, of both sides: level tanh(v / v_0)."""
 USUAL_SMOOTHING = 0.01  # rad/s, as of the plant

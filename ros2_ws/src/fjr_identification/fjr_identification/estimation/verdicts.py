@@ -30,6 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -59,15 +60,8 @@ STILL = 2e-3  # rad; a joint that moves less stands still
 WORSE = 1.1  # root mean square residual of some signal, relative to that of the most likely parameters
 LESS_LIKELY = 2.0  # of -log L, half the 95 % quantile of chi^2
 CORRELATED = 0.9
-PRISMATIC_UNITS = {
-    "N m/rad": "N/m",
-    "N m/rad^3": "N/m^3",
-    "kg m^2": "kg",
-    "N m s/rad": "N s/m",
-    "N m": "N",
-    "rad": "m",
-    "rad/s": "m/s",
-}
+PRISMATIC = {"N m": "N", "rad": "m", "kg m^2": "kg"}
+"""What units of a revolute joint become in those of a prismatic one."""
 WITHOUT_LINK = {
     **dict.fromkeys(
         ("joint_stiffness", HARDENING, "link_damping", "link_coulomb_friction", "link_static_friction"),
@@ -286,7 +280,8 @@ def estimates_at(
             verdict = IDENTIFIED if sd[k] <= SHARP * size and not why else WEAK
         why = why or reason(name, verdict, setup.records, -1 if name in PAYLOAD else j, partners.get(k, ""))
         joint, unit = "" if name in PAYLOAD else joints[j], KINDS[name].unit
-        unit = PRISMATIC_UNITS.get(unit, unit) if joint and any(setup.robot.prismatic[j : j + 1]) else unit
+        if joint and any(setup.robot.prismatic[j : j + 1]):
+            unit = reduce(lambda text, pair: text.replace(*pair), PRISMATIC.items(), unit)
         estimates.append(Estimate(name, joint, unit, value, low, high, prior, verdict, why))
     return Estimates(tuple(estimates), mean, covariance)
 

@@ -210,28 +210,28 @@ class FactorBox:
         return [(np.array(low), np.array(high)) for low, high in zip(lows, highs, strict=True)]
 
 
+@dataclass(frozen=True, eq=False)
 class Search:
-    """Division of the box of factors into parts with invariant tubes."""
+    """Division of the box of factors into parts with invariant tubes.
 
-    def __init__(
-        self,
-        model: DeviationModel,
-        reference: Reference,
-        T: float,
-        delay: float,
-        disturbing: Array,
-        verified: bool,
-        late: float = 0.0,
-        asked: bool = False,
-        seconds: float = np.inf,
-    ) -> None:
-        """disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop.
+    disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop. asked: of
+    MOST_PARTS. seconds: longest time of the division for a bound from the start.
+    """
 
-        asked: of MOST_PARTS. seconds: longest time of the division for a bound from the start.
-        """
-        self.model, self.cells = model, cells_of(reference, T, verified)
-        self._asked, self._most_parts, self._seconds = asked, MOST_PARTS[asked], seconds
-        self.T, self.delay, self.disturbing, self._late = T, delay, disturbing, late
+    model: DeviationModel
+    reference: Reference
+    T: float
+    delay: float
+    disturbing: Array
+    verified: bool
+    late: float = 0.0
+    asked: bool = False
+    seconds: float = np.inf
+
+    @cached_property
+    def cells(self) -> Cells:
+        """Cells on which tubes are verified, or sampled."""
+        return cells_of(self.reference, self.T, self.verified)
 
     @property
     def applies(self) -> bool:
@@ -264,7 +264,7 @@ class Search:
                 waiting += [(*ends, box.centre) for ends in box.divided()]
             else:
                 return [box]
-        while len(boxes) < self._most_parts:
+        while len(boxes) < MOST_PARTS[self.asked]:
             worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
@@ -272,11 +272,11 @@ class Search:
             if max(part.size for part in parts) > WORTH * worst.size:
                 break
             boxes = [box for box in boxes if box is not worst] + parts
-        return self._for_start(boxes, low, high, progress) if self._asked else boxes
+        return self._for_start(boxes, low, high, progress) if self.asked else boxes
 
     def _for_start(self, boxes: list[FactorBox], low: Array, high: Array, progress: Progress) -> list[FactorBox]:
         """Divide the parts that have a tube until each has a bound from the start, too, or the time is over."""
-        end = time.monotonic() + self._seconds
+        end = time.monotonic() + self.seconds
         while time.monotonic() < end and (without := [box for box in boxes if not box.has_all_bounds]):
             progress(1 - len(without) / len(boxes))
             first = max(without, key=lambda box: np.sum(box.gains))
@@ -290,9 +290,9 @@ class Search:
 
     def _divisible(self, box: FactorBox, parts: int, low: Array, high: Array) -> bool:
         """Return whether a box, one of `parts`, can be divided: it is wide, and parts are and will be few enough."""
-        if box.narrow or parts >= self._most_parts:
+        if box.narrow or parts >= MOST_PARTS[self.asked]:
             return False
-        return bool(2.0 ** box.halvings.sum() <= HOPELESS * self._most_parts * box.volume(low, high))
+        return bool(2.0 ** box.halvings.sum() <= HOPELESS * MOST_PARTS[self.asked] * box.volume(low, high))
 
     def _solved(self, low: Array, high: Array, start: CentreMotion | None) -> FactorBox:
         """Return the part of the box between the factors low and high (u,), with its invariant tube if there is one."""
@@ -307,7 +307,7 @@ class Search:
     def linear(self, factors: Array, start: CentreMotion | None = None) -> LinearLoop:
         """Return the linear model about the steady motion of a robot with the factors (u,), found from `start`."""
         coarse = steady_motion(self.model, self._coarse, factors, self.delay, start)
-        return linear_loop(self.model, replace(coarse, cells=self.cells), self.delay, self._late)
+        return linear_loop(self.model, replace(coarse, cells=self.cells), self.delay, self.late)
 
     def problem(self, linear: LinearLoop, low: Array, high: Array) -> TubeProblem | None:
         """Return the problem of a tube for factors from low to high (u,); None for an unstable loop."""
@@ -331,7 +331,7 @@ class Search:
     @cached_property
     def _coarse(self) -> Cells:
         """Cells on which centre motions are found."""
-        return cells_of(self.cells.reference, self.T, self.cells.verified, COARSE)
+        return cells_of(self.reference, self.T, self.verified, COARSE)
 
     def _blocks(self, radius: float) -> int | None:
         """Return the number of cells after which a deviation has decayed to REMAINS; None without a decay."""
