@@ -26,7 +26,7 @@ from fjr_core.runtime.events import Finding
 
 from .estimation.elastic_arm import coulomb
 from .estimation.motion_record import SIGNALS, MotionRecord
-from .rigid_motion import GEAR_RATIO, TIME, RigidMotion, rigid_motion, spring_torques, without
+from .rigid_motion import GEAR_RATIO, TIME, RigidMotion, contradiction, rigid_motion, spring_torques, without
 
 CUTOFF = 2.0  # Hz; well below resonances, which the rigid links do not have
 ROWS = 1000  # samples that are compared
@@ -95,8 +95,8 @@ def scales(record: MotionRecord, robot: Robot) -> Iterator[Finding]:
         if scan.differs(scale, least, scan.here):
             like = [name for name, (_, share) in best.items() if share < 2 * least]
             seen = " or ".join(WORDS[name].format(best[name][0], 1 / best[name][0]) for name in like)
-            sentence = f"effort and motion of {joint} fit the links of the robot only with {seen}; expected 1 times"
-            yield Finding(TIME if what == SECONDS else GEAR_RATIO, joint, sentence=sentence)
+            fits = f"effort and motion of {joint} fit the links of the robot only with {seen}"
+            yield contradiction(TIME if what == SECONDS else GEAR_RATIO, joint, fits, "1 times")
 
 
 def least_seen(record: MotionRecord, robot: Robot) -> dict[str, tuple[float, float]]:

@@ -32,6 +32,7 @@ from .rigid_motion import (
     SWAPPED,
     FittedLine,
     RigidMotion,
+    contradiction,
     rigid_motion,
     without,
 )
@@ -48,6 +49,7 @@ BETTER = 0.5  # unexplained with a change, relative to without
 NEAR = 1.25  # factor; a slope within it is right
 EXCHANGED = {"the positions": ("q_l", "q_m"), "all signals": ("u", "q_l", "q_m", "torque")}
 FOLLOWS = 0.1  # unexplained share of one side's position by that of another joint
+ONE_ORDER = "one order of the joints"
 
 
 def degrees(motion: RigidMotion) -> Iterator[Finding]:
@@ -64,8 +66,7 @@ def degrees(motion: RigidMotion) -> Iterator[Finding]:
         votes += plausible and there.unexplained < 0.5 * here.unexplained
     if _leaves_range(motion, moving) or (2 * votes > len(moving) and largest > LEAST_DEGREES):
         joint = motion.record.joints[moving[0]] if len(moving) == 1 else ""
-        sentence = f"positions reach {largest:.4g} and fit the robot as degrees only; expected rad"
-        yield Finding(DEGREES, joint, sentence=sentence)
+        yield contradiction(DEGREES, joint, f"positions reach {largest:.4g} and fit the robot as degrees only", "rad")
 
 
 def _leaves_range(motion: RigidMotion, moving: list[int]) -> bool:
@@ -98,11 +99,8 @@ def skews(motion: RigidMotion) -> Iterator[Finding]:
         for name, line in lines.items():
             if abs(line.slope) - 5 * line.deviation > LARGEST_SKEW:
                 when = "later" if line.slope > 0 else "earlier"
-                sentence = (
-                    f"{name} of {joint} is read {1e3 * abs(line.slope):.3g} ms {when} than the other side; "
-                    f"expected at most {1e3 * LARGEST_SKEW:g} ms"
-                )
-                yield Finding(SKEW, joint, sentence=sentence)
+                seen = f"{name} of {joint} is read {1e3 * abs(line.slope):.3g} ms {when} than the other side"
+                yield contradiction(SKEW, joint, seen, f"at most {1e3 * LARGEST_SKEW:g} ms")
 
 
 def sides(motion: RigidMotion) -> Iterator[Finding]:
@@ -114,8 +112,8 @@ def sides(motion: RigidMotion) -> Iterator[Finding]:
         low, high = slopes
         middle, differs, exchanged = (low + high) / 2, _differs(slopes) and not _slips(motion, j), motion.exchanged
         if high < 0:
-            sentence = f"q_m of {joint} moves against q_l (slope {middle:.3g}); expected one direction"
-            yield Finding(SIGN, joint, sentence=sentence)
+            seen = f"q_m of {joint} moves against q_l (slope {middle:.3g})"
+            yield contradiction(SIGN, joint, seen, "one direction")
         elif differs and not _differs(_slopes(exchanged, j)) and _is_spring(exchanged, j):
             sentence = f"q_m of {joint} is where q_l is expected, and the reverse: sides swapped"
             yield Finding(SWAPPED, joint, sentence=sentence)
@@ -169,13 +167,12 @@ def _differs(slopes: tuple[float, float] | None) -> bool:
 
 
 def _ratio(joint: str, slope: float) -> Finding:
+    seen = f"q_m of {joint} moves {slope:.4g} times as far as q_l"
     for name, scale in UNITS.items():
         if any(abs(slope / ratio - 1) < 0.1 for ratio in (scale, 1 / scale)):
             kind = DEGREES if "degrees" in name else GEAR_RATIO
-            sentence = f"q_m of {joint} moves {slope:.4g} times as far as q_l: {name}; expected one unit"
-            return Finding(kind, joint, sentence=sentence)
-    sentence = f"q_m of {joint} moves {slope:.4g} times as far as q_l; expected 1: wrong gear ratio"
-    return Finding(GEAR_RATIO, joint, sentence=sentence)
+            return contradiction(kind, joint, f"{seen}: {name}", "one unit")
+    return contradiction(GEAR_RATIO, joint, seen, "1: wrong gear ratio")
 
 
 def swapped(motion: RigidMotion) -> Iterator[Finding]:
@@ -186,9 +183,8 @@ def swapped(motion: RigidMotion) -> Iterator[Finding]:
         here, there = _deflection_line(motion, j), _deflection_line(motion.exchanged, j)
         against = here.slope < -4 * here.deviation or here.unexplained > 4 * there.unexplained
         if against and there.unexplained < 0.5 and _is_spring(motion.exchanged, j):
-            seen = f"{here.slope * motion.robot.K[j, j]:.2g} times the deflection that the motion needs"
-            sentence = f"q_m - q_l of {joint} is {seen}; expected about 1: sides swapped"
-            yield Finding(SWAPPED, joint, sentence=sentence)
+            times = f"{here.slope * motion.robot.K[j, j]:.2g} times the deflection that the motion needs"
+            yield contradiction(SWAPPED, joint, f"q_m - q_l of {joint} is {times}", "about 1: sides swapped")
 
 
 def _is_spring(motion: RigidMotion, j: int) -> bool:
@@ -214,11 +210,10 @@ def efforts(motion: RigidMotion) -> Iterator[Finding]:
             low, high = line.slope - 5 * line.deviation, line.slope + 5 * line.deviation
             seen = f"{name} of {joint} is {line.slope:.3g} times the torque that its motion needs"
             if high < 0:
-                sentence = f"{seen}; expected a positive factor near 1: a sign is wrong"
-                yield Finding(SIGN, joint, sentence=sentence)
+                yield contradiction(SIGN, joint, seen, "a positive factor near 1: a sign is wrong")
             elif high < 1 / SPREAD or low > SPREAD:
-                sentence = f"{seen}; expected about 1: links in the robot file, gear ratio, unit of the {name}?"
-                yield Finding(SCALE, joint, sentence=sentence)
+                causes = f"links in the robot file, gear ratio, unit of the {name}?"
+                yield contradiction(SCALE, joint, seen, f"about 1: {causes}")
 
 
 def turned(motion: RigidMotion) -> Iterator[Finding]:
@@ -230,7 +225,7 @@ def turned(motion: RigidMotion) -> Iterator[Finding]:
             there = effort_line(rigid_motion(motion.record, motion.robot, scale), j)
             if _follows(there) and there.unexplained < BETTER * here.unexplained:
                 seen = f"the effort of {joint} fits its motion only with the other sign of its positions"
-                yield Finding(SIGN, joint, sentence=f"{seen}; expected the direction of the robot file")
+                yield contradiction(SIGN, joint, seen, "the direction of the robot file")
 
 
 def crossed_sides(record: MotionRecord) -> Iterator[Finding]:
@@ -240,8 +235,8 @@ def crossed_sides(record: MotionRecord) -> Iterator[Finding]:
         straight = [_unexplained(record.q_l[:, k], record.q_m[:, k]) for k in (i, j)]
         across = [_unexplained(record.q_l[:, a], record.q_m[:, b]) for a, b in ((i, j), (j, i))]
         if max(across) < FOLLOWS and max(across) < BETTER * min(straight):
-            sentence = f"q_m of {first} follows q_l of {second}, and the reverse; expected one order of the joints"
-            yield Finding(ORDER, first, sentence=sentence)
+            seen = f"q_m of {first} follows q_l of {second}, and the reverse"
+            yield contradiction(ORDER, first, seen, ONE_ORDER)
 
 
 def crossed(motion: RigidMotion) -> Iterator[Finding]:
@@ -258,7 +253,7 @@ def crossed(motion: RigidMotion) -> Iterator[Finding]:
         ]
         if wrong:
             seen = f"the {wrong[0]} of {first} and {second} fit the motion of the other joint"
-            yield Finding(ORDER, first, sentence=f"{seen}; expected one order of the joints")
+            yield contradiction(ORDER, first, seen, ONE_ORDER)
         elif max(line.unexplained for line in by_effort[:2]) > GOOD / 5:
             order = np.arange(motion.robot.n)
             order[[i, j]] = j, i
@@ -267,7 +262,7 @@ def crossed(motion: RigidMotion) -> Iterator[Finding]:
                 other = rigid_motion(replace(motion.record, **changed), motion.robot)
                 if _all_follow(by_effort[:2], [effort_line(other, k) for k in (i, j)]):
                     seen = f"{what} of {first} and {second} fit the robot in the other order"
-                    yield Finding(ORDER, first, sentence=f"{seen}; expected the order of the joints in the robot file")
+                    yield contradiction(ORDER, first, seen, "the order of the joints in the robot file")
                     break
 
 

@@ -19,7 +19,7 @@ from fjr_core.runtime.events import Finding
 
 from . import missing_sensors, motion_checks
 from .estimation.motion_record import LEAST_MOTION, MotionRecord
-from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, rigid_motion
+from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, contradiction, rigid_motion
 
 SHORTEST = 200  # samples
 CLIPPED_RUN = 3  # times as many samples in a row at the extreme value as at others
@@ -60,16 +60,14 @@ def _checks(record: MotionRecord, robot: Robot) -> Iterator[Iterable[Finding]]:
 def short(record: MotionRecord) -> Iterator[Finding]:
     """Find a record of too few samples."""
     if len(record.u) < SHORTEST:
-        sentence = f"the record has {len(record.u)} samples; expected at least {SHORTEST}"
-        yield Finding(TOO_SHORT, "", sentence=sentence)
+        yield contradiction(TOO_SHORT, "", f"the record has {len(record.u)} samples", f"at least {SHORTEST}")
 
 
 def rest(record: MotionRecord) -> Iterator[Finding]:
     """Find a record in which no joint moves."""
     largest = float(np.max(record.ranges))
     if largest < LEAST_MOTION:
-        sentence = f"no joint moves by more than {largest:.2g} rad; expected a record of motion"
-        yield Finding(AT_REST, "", sentence=sentence)
+        yield contradiction(AT_REST, "", f"no joint moves by more than {largest:.2g} rad", "a record of motion")
 
 
 def constant(record: MotionRecord) -> Iterator[Finding]:
@@ -78,12 +76,12 @@ def constant(record: MotionRecord) -> Iterator[Finding]:
         for name in ("q_l", "q_m", "torque", "u"):
             values = getattr(record, name)[:, j]
             if joint not in record.still and np.all(np.isfinite(values)) and np.ptp(values) == 0:
-                sentence = f"{name} of {joint} is {values[0]:.6g} at every sample; expected a changing signal"
-                yield Finding(CONSTANT, joint, sentence=sentence)
+                seen = f"{name} of {joint} is {values[0]:.6g} at every sample"
+                yield contradiction(CONSTANT, joint, seen, "a changing signal")
         deflection = record.q_m[:, j] - record.q_l[:, j]
         if np.all(np.isfinite(deflection)) and np.ptp(record.q_m[:, j]) > 0 and np.ptp(deflection) < SAME:
-            sentence = f"q_m - q_l of {joint} is constant at every sample; expected two measurements"
-            yield Finding(CONSTANT, joint, sentence=sentence)
+            seen = f"q_m - q_l of {joint} is constant at every sample"
+            yield contradiction(CONSTANT, joint, seen, "two measurements")
 
 
 def jumps(record: MotionRecord) -> Iterator[Finding]:
@@ -99,11 +97,9 @@ def jumps(record: MotionRecord) -> Iterator[Finding]:
         limit = max(BEND * (usual + 2 * _resolution(x)), LEAST_JUMP * float(np.ptp(x)))
         if bends[i] > limit:
             at = i + 1 + int(np.argmax(np.abs(np.diff(x[i : i + 3]))))
-            sentence = (
-                f"{name} of {joint} jumps by {x[at] - x[at - 1]:.4g} {SIGNALS[name]} at sample {at} "
-                f"({at * record.dt:.4g} s); expected a continuous signal"
-            )
-            yield Finding(JUMP, joint, sentence=sentence)
+            jump, t = f"{x[at] - x[at - 1]:.4g} {SIGNALS[name]}", f"{at * record.dt:.4g} s"
+            seen = f"{name} of {joint} jumps by {jump} at sample {at} ({t})"
+            yield contradiction(JUMP, joint, seen, "a continuous signal")
 
 
 def stuck(record: MotionRecord) -> Iterator[Finding]:
@@ -116,11 +112,9 @@ def stuck(record: MotionRecord) -> Iterator[Finding]:
             if length < least or not len(before) or before.mean() * length < LEAST_LOST * np.ptp(x):
                 continue
             if before[-1] > max(STEPS * _resolution(x), 0.3 * before.mean()):
-                sentence = (
-                    f"{name} of {joint} stops at {x[start]:.6g} {SIGNALS[name]} from one sample to the next, at "
-                    f"{start * record.dt:.4g} s for {length * record.dt:.3g} s; expected it to slow down first"
-                )
-                yield Finding(STUCK, joint, sentence=sentence)
+                when = f"at {start * record.dt:.4g} s for {length * record.dt:.3g} s"
+                seen = f"{name} of {joint} stops at {x[start]:.6g} {SIGNALS[name]} from one sample to the next, {when}"
+                yield contradiction(STUCK, joint, seen, "it to slow down first")
                 break
 
 
@@ -140,11 +134,9 @@ def clipped(record: MotionRecord) -> Iterator[Finding]:
             apart = [u[i] for i in (start - length, start + 2 * length - 1) if 0 <= i < len(u)]
             drop = max((abs(extreme - value) for value in apart), default=0.0)
             if length >= CLIPPED_RUN * usual and drop > PEAK * resolution:
-                sentence = (
-                    f"effort of {joint} is {extreme:.6g} N m at {np.mean(u == extreme):.1%} of the samples, up to "
-                    f"{length} in a row; expected an effort that is not clipped"
-                )
-                yield Finding(CLIPPED, joint, sentence=sentence)
+                often = f"{np.mean(u == extreme):.1%} of the samples, up to {length} in a row"
+                seen = f"effort of {joint} is {extreme:.6g} N m at {often}"
+                yield contradiction(CLIPPED, joint, seen, "an effort that is not clipped")
 
 
 def _runs(at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import spring_torque
 from fjr_core.numerics.checks import Array
+from fjr_core.runtime.events import Finding
 
 from .estimation.motion_record import MotionRecord
 
@@ -27,6 +28,11 @@ CUTOFF = 8.0  # Hz
 SAMPLES = 4000  # that are kept, at most
 EDGE, LARGEST_EDGE = 2.0 / CUTOFF, 0.2  # s at each end where the filter is not settled, and share of the record
 LEAST_SHARE = 1e-6  # of a regressor's variance that the others do not explain
+
+
+def contradiction(kind: str, joint: str, seen: str, expected: str) -> Finding:
+    """Return a finding of a record, which says what was seen and what was expected."""
+    return Finding(kind, joint, sentence=f"{seen}; expected {expected}")
 
 
 @dataclass(frozen=True, eq=False)
