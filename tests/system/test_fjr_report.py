@@ -20,6 +20,7 @@ import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_monitor.recording import run as recorded_run
 from fjr_monitor.recording import signals
 from fjr_monitor.recording.bag import header_stamp, read_bag
 from fjr_monitor.recording.recorder import BagWriter
@@ -317,7 +318,9 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
     model = another if other else model
     found = []
     for size, around in ((10_000, 10_000), (97, 60)):
-        monkeypatch.setattr(signals, "AROUND", around)
+        monkeypatch.setattr(recorded_run, "AROUND", around)
+        monkeypatch.setattr(signals, "TOGETHER", size)
+        monkeypatch.setattr(signals, "IN_MEMORY", size)
         recording = Recording(read_bag(bag), model, duration, size)
         parts = list(recording.parts())
         metrics = Metrics(recording)
@@ -338,10 +341,9 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
 
 
 def test_messages_that_were_received_late_have_their_place_by_the_time_they_were_sent(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: Scenario
+    run: Path, tmp_path: Path, model: Scenario
 ) -> None:
     """As beside busy programs: every seventh message of each topic is received 0.3 s later, hundreds of states."""
-    monkeypatch.setattr(signals, "AROUND", 20)
     found = []
     for folder, late in ((tmp_path / "in time", 0.0), (tmp_path / "late", 0.3)):
         received(run, folder, late)

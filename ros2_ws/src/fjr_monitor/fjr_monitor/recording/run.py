@@ -8,10 +8,10 @@ of gaps and stops.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +26,16 @@ from fjr_core.runtime.events import STARTS_REFUSED, STOPS
 from fjr_core.runtime.library import constant
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_monitor.diagnosis.record import LEAD, PART, Record, held_efforts
-from fjr_monitor.recording.bag import Bag, JointTable
+from fjr_monitor.recording.bag import Bag
 from fjr_monitor.recording.files import Times
-from fjr_monitor.recording.signals import REFERENCE, AnsweredStates, States, first_of_each_stamp, match_stamps
+from fjr_monitor.recording.signals import REFERENCE, RunSignals
 from fjr_msgs_py.node.reports import STAMP
 
 OTHER_RATE = 0.05  # relative; beyond this difference the measured sample period replaces the scenario's
 HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
 SAME = 1e-9  # rad, rad/s, relative to the size of the reference: resolution of stamps in ns
 SETTLED = constant("OBSERVED")
+AROUND = 2048  # states before and after a part through which the splines of its reference pass
 DEGREE = 5  # of the spline through the recorded velocities: its third derivative is d4q_ld
 
 
@@ -90,50 +91,53 @@ class RunData(Record):
 class Recording:
     """A run in a bag, from the first state with a command on; raises BagError.
 
-    duration [s] of stamped time; infinite: up to the last state that has a command. states: their number. step [s]:
-    median time between two. start: stamp of the first one [ns]. sample_period [s]. effort_limit (n,) [N m].
-    velocities_measured: else an observer estimates them. notes: one sentence for each missing or substituted signal;
-    those on reference and velocities, reference_mismatch [rad] and stop are known once the parts were read. counters:
-    last /diagnostics of each name. size: states of a part.
+    duration [s] of stamped time; infinite: up to the last state that has a command. signals: of the run. states: their
+    number. step [s]: median time between two. sample_period [s]. effort_limit (n,) [N m]. velocities_measured: else an
+    observer estimates them. stop: first stop of the controller, None: it never stopped. notes: one sentence for each
+    missing or substituted signal; those on reference and velocities, and reference_mismatch [rad], are known once the
+    parts were read. size: states of a part.
     """
 
     def __init__(self, bag: Bag, scenario: Scenario, duration: float = np.inf, size: int = PART) -> None:
-        self.bag, self.scenario = bag, scenario
+        self.bag, self.scenario, self._size = bag, scenario, size
         self.joints, self.units = scenario.joints, scenario.robot.units
         self.lockstep = bool(scenario.plant_values["lockstep"])
         self.effort_limit = effort_limits(scenario.controller_values, scenario.robot)
         self.reference_mismatch = float("nan")
-        self.stop: ControllerStop | None = None
-        self._answered = answered = AnsweredStates(bag, scenario, duration, size)
-        self.counters, self.states, self.start = answered.counters, answered.count, answered.section.start
-        self.velocities_measured = not answered.reader.estimated
-        nominal, seen = scenario.sample_period, answered.section.steps.quantile(0.5) * 1e-9
-        known = seen > 0
-        other = known and abs(seen - nominal) > OTHER_RATE * nominal
-        self.step, self.sample_period = (seen if known else nominal), (seen if other else nominal)
+        self.signals = signals = RunSignals(bag, scenario, duration)
+        self.stop, self.states = first_stop(signals), len(signals.stamp)
+        self.velocities_measured = not signals.reader.estimated
+        nominal, seen = scenario.sample_period, 0.0
+        if self.states > 1:
+            seen = float(np.median(np.diff(signals.stamp))) * 1e-9
+        other = seen > 0 and abs(seen - nominal) > OTHER_RATE * nominal
+        self.step, self.sample_period = seen or nominal, (seen if other else nominal)
         rate = f"the scenario's robot sends them every {nominal * 1e3:g} ms"
         self._rate_note = (f"states came every {seen * 1e3:.4g} ms; {rate}",) if other else ()
-        self.notes = (*answered.notes, *self._rate_note)
+        self.notes = (*signals.notes, *self._rate_note)
+
+    @property
+    def seconds(self) -> float:
+        """Time [s] of the last state."""
+        return float(self.signals.stamp[-1] - self.signals.stamp[0]) * 1e-9
 
     def parts(self) -> Iterator[RunData]:
         """Yield the run in parts; each repeats up to LEAD states of the one before."""
-        reference, stop = RecordedReference(self.scenario), StopFinder(self._answered.events)
+        signals, reference = self.signals, RecordedReference(self.scenario)
         estimate = None if self.velocities_measured else EstimatedStates(self.scenario)
-        torque_is_known = self._answered.reader.known_torque
-        certificate, torques, count, first_sent = self._certificate(), ExternalTorques(self.scenario), 0, 0
+        certificate, torques = self._certificate(), ExternalTorques(self.scenario)
         held: Array = np.zeros((0, len(self.joints)))
-        for states, u, answered, new, recorded in self._answered.windows():
-            begin = min(LEAD, count, new.start)  # states of the part before, which the next one repeats
-            cut = slice(new.start - begin, new.stop)
-            t = np.asarray((states.stamp - self.start) * 1e-9, dtype=np.float64)
-            jets = reference.jets(recorded, states.stamp, t)[cut]
-            seen, u, answered, t = states.rows(cut), u[cut], answered[cut], t[cut]
+        for start in range(0, self.states, self._size):
+            begin, end = min(LEAD, start), start + self._size
+            rows, around = slice(start - begin, end), slice(max(0, start - AROUND), end + AROUND)
+            within = slice(rows.start - around.start, rows.stop - around.start)
+            t = (signals.stamp[around] - signals.stamp[0]) * 1e-9
+            jets = reference.jets(t, *signals.reference(around))[within]
+            position, velocity, torque = signals.states(rows)
+            u, answered, measured = signals.efforts(rows), signals.answered[rows], position
             if estimate is not None:
-                position, velocity = estimate.of(seen, u, begin)
-                measured = np.where(estimate.settled[:, None], seen.position, np.nan)
-                seen = replace(seen, position=position, velocity=velocity)
-            first_sent, count = first_sent or int(seen.publish_time[0]), count + new.stop - new.start
-            stop.add(seen.stamp, seen.publish_time, t)
+                position, velocity = estimate.of(signals.stamp[rows], position, u, begin)
+                measured = np.where(estimate.settled[:, None], measured, np.nan)
             before = held[-begin - 1] if len(held) > begin else None
             held = held_efforts(u, before)
             yield RunData(
@@ -141,26 +145,26 @@ class Recording:
                 before=before,
                 certify=certificate,
                 observe=torques.of,
-                measured=seen.position if estimate is None else measured,
-                u_applied=seen.effort @ np.linalg.inv(self.scenario.robot.B_m).T if torque_is_known else None,
+                measured=measured,
+                u_applied=torque @ np.linalg.inv(self.scenario.robot.B_m).T if signals.reader.known_torque else None,
                 sample_period=self.sample_period,
                 lockstep=self.lockstep,
                 effort_limit=self.effort_limit,
                 effort_rate=np.asarray(self.scenario.settings.effort_rate),
-                t=t,
-                position=seen.position,
-                velocity=seen.velocity,
+                t=t[within],
+                position=position,
+                velocity=velocity,
                 jets=jets,
                 u=u,
-                torque=seen.effort,
-                sent=np.asarray((seen.publish_time - first_sent) * 1e-9, dtype=np.float64),
-                answered=np.where(answered >= 0, (answered - first_sent) * 1e-9, np.nan),
+                torque=torque,
+                sent=(signals.sent[rows] - signals.sent[0]) * 1e-9,
+                answered=np.where(answered >= 0, (answered - signals.sent[0]) * 1e-9, np.nan),
             )
-        self.reference_mismatch, self.stop = reference.mismatch, stop.stop()
+        self.reference_mismatch = reference.mismatch
         estimated = "no velocities were measured: positions and velocities are an observer's ({:g} rad/s)"
         estimates = () if estimate is None else (estimated.format(estimate.bandwidth),)
-        found = *estimates, *reference.notes(self.bag.holds(REFERENCE))
-        self.notes = (*self._answered.notes, *found, *self._rate_note)
+        found = *estimates, *reference.notes(signals.has_reference)
+        self.notes = (*signals.notes, *found, *self._rate_note)
 
     def time_series(self) -> Iterator[dict[str, Array]]:
         """Yield the columns (k,) of a table of the run, part by part, by name, joint and unit: `q_l.joint1 [rad]`."""
@@ -207,15 +211,15 @@ class EstimatedStates:
         self._n, self._effort = n, np.zeros(n)
         self._last: Array = np.zeros((0, 4 * n))
 
-    def of(self, states: States, u: Array, begin: int) -> tuple[Array, Array]:
-        """Return positions and velocities (k, 2n); u (k, n) [N m] acts from each state on.
+    def of(self, stamp: Times, position: Array, u: Array, begin: int) -> tuple[Array, Array]:
+        """Return positions and velocities (k, 2n) at stamps (k,) [ns] with measured positions (k, 2n).
 
-        The first `begin` states are the last ones of the part before.
+        u (k, n) [N m] acts from each state on. The first `begin` states are the last ones of the part before.
         """
         n, rows, self.settled = self._n, [*self._last[len(self._last) - begin :]], np.ones(len(u), dtype=bool)
         for k in range(begin, len(u)):
-            q = states.position[k]
-            self._observer.update(int(states.stamp[k]), q[:n], q[n:], self._effort)
+            q = position[k]
+            self._observer.update(int(stamp[k]), q[:n], q[n:], self._effort)
             rows.append(self._observer.state.copy())
             self.settled[k] = self._observer.samples >= SETTLED
             self._effort = np.nan_to_num(u[k])
@@ -246,33 +250,27 @@ class RecordedReference:
     def __init__(self, scenario: Scenario) -> None:
         self._planned = scenario.reference
         self._size = np.ones(2)  # 1 plus the largest position and velocity
-        self._since: int | None = None  # stamp [ns] of the first state with another reference than the scenario's
+        self._since = np.inf  # s; time of the first state with another reference than the scenario's
         self._start: float | None = None
         self.mismatch = float("nan")
 
-    def jets(self, table: JointTable | None, stamp: Times, t: Array) -> Array:
-        """Return q_ld .. d4q_ld (k, 5, n) at the stamps [ns], which are t (k,) [s] after the first state.
+    def jets(self, t: Array, position: Array, velocity: Array) -> Array:
+        """Return q_ld .. d4q_ld (k, 5, n) at times t (k,) [s]; times may repeat those of the part before.
 
-        table: the recorded reference about these stamps; stamps may repeat those of the part before.
+        position, velocity (k, n): of the recorded reference there, NaN: none.
         """
         planned = self._planned.jets(t)
-        if table is None or not len(table.stamp) or not len(t):
-            return planned
-        rows = first_of_each_stamp(table.stamp)
-        place, found = match_stamps(stamp, table.stamp[rows])
-        position, velocity = table.position[rows][place], table.velocity[rows][place]
-        if not np.isfinite(position[found]).any():
+        found = np.isfinite(position).any(axis=1)
+        if not found.any():
             return planned
         deviation = np.abs(position - planned[:, 0]).max(axis=1)[found]
         self.mismatch = float(np.maximum(np.nan_to_num(self.mismatch), deviation.max(initial=0.0)))
         self._size = np.maximum(self._size, 1.0 + np.abs(planned[:, :2]).max(axis=(0, 2)))
         apart = np.abs(np.stack([position, velocity], axis=1) - planned[:, :2])
         differs = found & ~(apart <= SAME * self._size[:, None]).all(axis=(1, 2))
-        if self._since is None and differs.any():
-            self._since = int(stamp[np.argmax(differs)])
-        if self._since is None:
-            return planned
-        usable = found & np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1) & (stamp >= self._since)
+        if differs.any():
+            self._since = min(self._since, float(t[np.argmax(differs)]))
+        usable = np.isfinite(np.hstack([position, velocity])).all(axis=1) & (t >= self._since)
         return self._numerical(planned, t, np.flatnonzero(usable), position, velocity)
 
     def _numerical(self, planned: Array, t: Array, rows: NDArray[np.intp], position: Array, velocity: Array) -> Array:
@@ -298,7 +296,7 @@ class RecordedReference:
             )
         if np.isnan(self.mismatch):
             return (f"{REFERENCE} has none of the scenario's joints: the scenario's is taken",)
-        if self._since is not None and self._start is None:
+        if self._since < np.inf and self._start is None:
             return ("the recorded reference differs from the scenario's for a moment, too short to differentiate",)
         if self._start is None:
             return ()
@@ -320,27 +318,15 @@ class ControllerStop:
         return f"{self.heading}: {self.reason}"
 
 
-class StopFinder:
-    """The first stop among the events of a controller, at the time of the last state before it.
+def first_stop(signals: RunSignals) -> ControllerStop | None:
+    """Return the first stop among the events of a controller, at the time of the last state before it; None: none.
 
-    events: each with its send time [ns]. An event without a stamp is assigned to the last state sent before it.
+    An event without a stamp is assigned to the last state sent before it.
     """
-
-    def __init__(self, events: Sequence[tuple[Any, int]]) -> None:
-        first: tuple[Any, int] = next((each for each in events if each[0].name in HEADINGS), (None, 0))
-        self._event, sent = first
-        pairs = {} if self._event is None else {pair.key: pair.value for pair in self._event.values}
-        self._stamped, self._when = STAMP in pairs, int(pairs.get(STAMP, sent))
-        self._at = 0.0
-
-    def add(self, stamps: Any, sent: Any, t: Any) -> None:
-        """Take states: stamps and send times (k,) [ns], and times t (k,) [s] since the start of the run."""
-        before = (stamps if self._stamped else sent) <= self._when
-        self._at = float(t[before][-1]) if before.any() else self._at
-
-    def stop(self) -> ControllerStop | None:
-        """Return the stop; None if the controller never stopped."""
-        if self._event is None:
-            return None
-        _, _, reason = self._event.message.partition(": ")
-        return ControllerStop(self._at, HEADINGS[self._event.name].format(self._at), reason)
+    for event, sent in signals.events:
+        if event.name in HEADINGS:
+            pairs = {pair.key: pair.value for pair in event.values}
+            before = signals.stamp <= int(pairs[STAMP]) if STAMP in pairs else signals.sent <= sent
+            at = float(signals.stamp[before].max(initial=signals.stamp[0]) - signals.stamp[0]) * 1e-9
+            return ControllerStop(at, HEADINGS[event.name].format(at), event.message.partition(": ")[2])
+    return None

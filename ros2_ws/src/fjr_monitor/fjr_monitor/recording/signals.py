@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""States of a run in a bag, with the commands that answer them.
+"""States of a run in a bag, the commands that answer them, and the reference that was tracked.
 
-A bag is read several times rather than held in memory: once to find the states of the run, the longest section between
-two jumps of time, then in windows.
+A bag is read once: the numbers of its messages go to a scratch file, stamps and send times to arrays. The rows of the
+run are found in whole arrays: the longest section between two jumps of time, in it the first message of each stamp.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from itertools import islice, pairwise
+from tempfile import SpooledTemporaryFile, gettempdir
 from typing import Any
 
 import numpy as np
@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
-from fjr_monitor.diagnosis.record import Rows
 from fjr_monitor.recording.bag import Bag, JointTable, in_order
 from fjr_monitor.recording.files import BagError, Times
-from fjr_monitor.recording.timing import CountedTimes
 from fjr_msgs_py import names
 
 STATES = f"/{names.JOINT_STATES}"
@@ -29,21 +27,57 @@ ANSWERS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
 REFERENCE = names.REFERENCE.replace("~", f"/{CONTROLLER}")
 DIAGNOSTICS, EVENTS = "/diagnostics", f"/{CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
 SCANNED_MESSAGES = 1000  # for joint names
+TOGETHER = 8192  # states that are decoded at a time
+IN_MEMORY = 2**26  # bytes of the numbers of a topic; more go to a file
 AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
-AROUND = 2048  # states before and after a window with which its commands, repeats and reference are looked up
 JUMP = 0.5  # s; a larger step back in stamps starts a new section (reset, looped bag)
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 END = 2**63 - 1
+Places = NDArray[np.int32]
+"""Rows of another topic that belong to k states; -1: none."""
 
 
-@dataclass(frozen=True)
-class States(JointTable):
-    """States in which links come before motors in position and velocity (k, 2n) [rad, rad/s]; NaN: not measured.
+class Numbers:
+    """Positions, velocities and efforts of the messages of a topic, in a scratch file if they are many."""
 
-    effort (k, n): measured at the motors [N m]. number (k,): of the message in the bag.
-    """
+    def __init__(self) -> None:
+        self._file = SpooledTemporaryFile(IN_MEMORY)  # noqa: SIM115 (closed in __del__)
+        self._widths = [0, 0, 0]
+        self._times: list[tuple[Times, Times]] = []
 
-    number: NDArray[np.int64]
+    def __del__(self) -> None:
+        self._file.close()
+
+    def add(self, table: JointTable) -> None:
+        """Add messages; raise BagError if the disk is full."""
+        values = table.position, table.velocity, table.effort
+        self._widths = [each.shape[1] for each in values]
+        self._times.append((table.stamp, table.publish_time))
+        try:
+            self._file.write(np.hstack(values).tobytes())
+        except OSError as error:
+            room = f"expected room for the numbers of a bag in {gettempdir()} (TMPDIR)"
+            raise BagError(f"the scratch file cannot be written ({error.strerror}); {room}") from None
+
+    def times(self) -> tuple[Times, Times]:
+        """Return stamps and send times [ns] of all messages."""
+        stamp, sent = map(np.concatenate, zip(*self._times, strict=True))
+        return stamp, sent
+
+    def forget_times(self) -> None:
+        """Keep the numbers alone."""
+        self._times = []
+
+    def of(self, rows: NDArray[np.integer[Any]]) -> list[Array]:
+        """Return positions, velocities and efforts of the messages with these numbers; NaN for -1."""
+        values = np.full((len(rows), sum(self._widths)), np.nan)
+        known = rows[rows >= 0]
+        if len(known):
+            first, width = int(known.min()), values.shape[1]
+            self._file.seek(8 * width * first)
+            block = np.frombuffer(self._file.read(8 * width * (int(known.max()) + 1 - first)))
+            values[rows >= 0] = block.reshape(-1, width)[known - first]
+        return np.split(values, np.cumsum(self._widths)[:-1], axis=1)
 
 
 class RecordedStates:
@@ -61,16 +95,19 @@ class RecordedStates:
         self.known_torque = False
         self._foreign, self.other_names = self._names(bag)
         self.no_motors = ""
-        self._needed: Rows | None = None  # columns of position and velocity without which a state is left out
+        self._needed: NDArray[np.intp] | None = None  # columns of position and velocity without which one is left out
         self.estimated = False
         self._wants_estimate = scenario.controller_values["measurement.velocity"] != "measured"
 
-    def states(self, table: JointTable, number: NDArray[np.int64], new: NDArray[np.bool_]) -> States:
-        """Return the complete states of a table in the order of the bag; new: rows that were not seen before."""
+    def complete(self, table: JointTable) -> JointTable:
+        """Return the complete states of a table, in which links come before motors.
+
+        position, velocity (k, 2n) [rad, rad/s]: NaN: not measured. effort (k, n) [N m]: measured at the motors.
+        """
         n = self._n
         if self._foreign:
             nothing = np.full_like(table.position, np.nan)
-            return States(table.stamp, table.publish_time, nothing, nothing, nothing[:, n:], number)
+            return replace(table, position=nothing, velocity=nothing, effort=nothing[:, n:])
         position, velocity = table.position / self._ratio, table.velocity / self._ratio
         if self._measured.by_torque:  # q_m = q_l + K^-1 tau
             deflection = np.linalg.solve(np.asarray(self._measured.K), table.effort[:, :n].T).T
@@ -79,8 +116,8 @@ class RecordedStates:
             self._see(table, position)
         known = np.isfinite(np.hstack([table.position, table.velocity])[:, self._needed])
         good = np.asarray(known.all(axis=1))
-        self.left_out += int((~good & new).sum())
-        return States(table.stamp, table.publish_time, position, velocity, table.effort[:, n:], number).rows(good)
+        self.left_out += int((~good).sum())
+        return replace(table, position=position, velocity=velocity, effort=table.effort[:, n:]).rows(good)
 
     def _see(self, table: JointTable, position: Array) -> None:
         """Decide by the first states which signals the bag holds."""
@@ -109,217 +146,135 @@ class RecordedStates:
         return False, note if more else ""
 
 
-@dataclass
-class Section:
-    """States between two jumps of time: numbers of their messages, send times [ns], what is answered of them.
+class RunSignals:
+    """The states of a run: the longest section of a bag between two jumps of time; raises BagError if it is empty.
 
-    number, end_number: of its first message, and of the first one after it.
-    first_number: of the message with which the run begins. The run begins with the first state that has a command, and
-    of the copies of that state with the last one that was sent before the command; None: no state has one.
-    start, end: stamps of the first state of the run and of the last one with a command [ns].
-    count, answered: number of states of the run, and up to `end`. last: latest stamp.
-    length: number of states, repeated ones as well.
+    It begins with the first state that has a command, and of the copies of that state with the last one that was sent
+    before the command. stamp, sent (k,) [ns]: stamps and send times of the states. answered (k,) [ns]: send times of
+    their commands, -1: none. counters: last /diagnostics of each name. events: of the controller, each with its send
+    time [ns]. notes: on bag, states and commands.
     """
 
-    number: int
-    end_number: int
-    first_sent: int
-    last_sent: int
-    first_number: int | None = None
-    start: int = 0
-    end: int | None = None
-    last: int = -1
-    count: int = 0
-    answered: int = 0
-    length: int = 0
-    steps: CountedTimes = field(default_factory=CountedTimes)
-
-    def add(self, states: States, new: NDArray[np.bool_], sent: Times, duration: float) -> None:
-        """Add states, of which only some are new, with the send times of their commands; -1: none."""
-        if self.first_number is None:
-            answered = np.flatnonzero(new & (sent >= 0))
-            if answered.size:
-                row = answered[0]
-                waiting = np.flatnonzero((states.stamp <= states.stamp[row]) & (states.publish_time <= sent[row]))
-                row = int(waiting[-1]) if waiting.size else int(row)
-                self.first_number, self.count, self.steps = int(states.number[row]), 0, CountedTimes()
-                self.start, self.last = int(states.stamp[row]), int(states.stamp[row]) - 1
-            elif not self.count and new.any():
-                self.start = int(states.stamp[np.argmax(new)])
-                self.last = self.start - 1
-        rows = self.rows(states, new, self.last, duration)
-        stamps, answered = states.stamp[rows], np.flatnonzero(sent[rows] >= 0)
-        if answered.size:
-            self.end, self.answered = int(stamps[answered[-1]]), self.count + int(answered[-1]) + 1
-        if len(rows):
-            self.steps.add(np.diff(stamps, prepend=self.last) if self.count else np.diff(stamps))
-            self.count, self.last = self.count + len(rows), int(stamps[-1])
-
-    def rows(self, states: States, new: NDArray[np.bool_], after: int, duration: float) -> NDArray[np.intp]:
-        """Return the rows of the first message of each stamp later than `after` and up to the new ones, in order."""
-        if not new.any():
-            return np.zeros(0, dtype=np.intp)
-        usable = np.flatnonzero(states.number >= (self.number if self.first_number is None else self.first_number))
-        rows = usable[np.unique(states.stamp[usable], return_index=True)[1]]
-        stamps = states.stamp[rows]
-        inside = (stamps > after) & (stamps >= self.start) & (stamps <= states.stamp[new].max())
-        return np.asarray(rows[inside & ((stamps - self.start) * 1e-9 < duration - 1e-9)])
-
-
-class AnsweredStates:
-    """The longest section of a bag, in windows of `size` states; raises BagError if it is empty.
-
-    duration [s] of stamped time; infinite: up to the last state that has a command. topic: of the commands, None: none
-    was recorded. count: number of states of the run. last: stamp of the last one [ns]. jumps: of time in the bag.
-    counters: last /diagnostics of each name. events: of the controller, each with its send time [ns].
-    """
-
-    def __init__(self, bag: Bag, scenario: Scenario, duration: float, size: int) -> None:
-        self._bag, self._joints, self._duration, self._size = bag, scenario.joints, duration, size
+    def __init__(self, bag: Bag, scenario: Scenario, duration: float) -> None:
+        """duration [s] of stamped time; infinite: up to the last state that has a command."""
         self.reader = RecordedStates(bag, scenario)
-        self.topic = next((topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)), None)
-        self._topics = (STATES, *([self.topic] if self.topic else []))
         self.counters: dict[str, dict[str, str]] = {}
         self.events: list[tuple[Any, int]] = []
-        self.jumps = 0
-        section = self.section = self._longest_section()
-        self.count, self.last = section.count, section.last
-        if not np.isfinite(duration) and section.end is not None:
-            self.count, self.last = section.answered, section.end
-        self.notes = self._select_notes()  # on bag, states and commands
+        self._commands = next((topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)), None)
+        kept = [STATES, *filter(None, [self._commands]), *filter(bag.holds, [REFERENCE])]
+        self._numbers = {topic: Numbers() for topic in kept}
+        self._read(bag, scenario.joints)
+        self._choose(bag, duration)
 
-    def windows(self) -> Iterator[tuple[States, Array, Times, slice, JointTable | None]]:
-        """Yield states of the run and their commands, as of `_commands`; rows of the new states among them.
+    def states(self, rows: slice) -> list[Array]:
+        """Return positions, velocities (m, 2n) [rad, rad/s] and measured motor torques (m, n) [N m] of states."""
+        return self._numbers[STATES].of(self._rows[rows])
 
-        Last in each: the recorded reference about these states, None: none was recorded.
-        """
-        section, last = self.section, self.section.start - 1
-        for states, new, tables in self._tables((*self._topics, *([REFERENCE] if self._bag.holds(REFERENCE) else []))):
-            inside = (states.number >= section.number) & (states.number < section.end_number)
-            states, new = states.rows(inside), new[inside]
-            fresh = section.rows(states, new, last, self._duration)
-            around = section.rows(states, np.ones_like(new), section.start - 1, self._duration)
-            fresh, around = (rows[states.stamp[rows] <= self.last] for rows in (fresh, around))
-            if not len(fresh):
-                continue
-            u, answered = self._commands(states, tables, section)
-            begin, last = states.stamp[fresh[[0, -1]]]
-            place = int(np.searchsorted(states.stamp[around], begin))
-            rows = slice(place, place + len(fresh))
-            yield states.rows(around), u[around], answered[around], rows, tables.get(REFERENCE)
+    def efforts(self, rows: slice) -> Array:
+        """Return the commands (m, n) [N m] of states; NaN without one."""
+        if self._commands is None:
+            return np.full_like(self.states(rows)[2], np.nan)
+        return self._numbers[self._commands].of(self._answers[rows])[2]
 
-    def _tables(
-        self, topics: tuple[str, ...], beside: tuple[str, ...] = ()
-    ) -> Iterator[tuple[States, NDArray[np.bool_], dict[str, JointTable]]]:
-        """Yield states in the order of the bag, which of them are new, and the tables of the topics about them.
+    def reference(self, rows: slice) -> list[Array]:
+        """Return recorded positions and velocities (m, n) of the reference at states; NaN without one."""
+        nothing = np.full_like(self.states(rows)[2], np.nan)
+        return self._numbers[REFERENCE].of(self._references[rows])[:2] if self.has_reference else [nothing, nothing]
 
-        beside: topics from which counters and events are kept on the way.
-        """
-        kept: dict[str, JointTable] = {}
-        first = done = 0
-        joints = dict.fromkeys(topics, self._joints) | {STATES: names.state_names(self._joints)}
-        for batch in self._bag.batches((*topics, *beside), STATES, self._size):
-            self._keep_counters_and_events(batch)
-            for topic in topics:
-                table = self._bag.table(batch[topic], joints[topic])
-                kept[topic] = kept[topic].followed_by(table) if topic in kept else table
-            states, is_last = kept[STATES], len(batch[STATES].messages) < self._size
-            end = first + len(states.stamp) - (0 if is_last else AROUND)
-            number = first + np.arange(len(states.stamp))
-            fresh = (number >= done) & (number < end)
-            seen = self.reader.states(states, number, fresh)
-            yield seen, (seen.number >= done) & (seen.number < end), kept
-            done, drop = max(done, end), max(0, end - AROUND - first)
-            first += drop
-            left = states.rows(slice(drop, None))
-            if len(left.stamp):
-                since = left.publish_time[0] - AFTERWARDS
-                kept = {topic: table.rows(table.publish_time >= since) for topic, table in kept.items()}
-            kept[STATES] = left
+    @property
+    def has_reference(self) -> bool:
+        """Return whether the reference was recorded."""
+        return REFERENCE in self._numbers
 
-    def _keep_counters_and_events(self, batch: Mapping[str, Any]) -> None:
-        """Keep the last /diagnostics of each name and the events of the controller in a batch of messages."""
-        for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
-            for status in message.status:
-                self.counters[status.name] = {pair.key: pair.value for pair in status.values}
-        if EVENTS in batch:
-            self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
+    def _read(self, bag: Bag, joints: tuple[str, ...]) -> None:
+        """Read the messages of the run, and counters and events on the way."""
+        named = dict.fromkeys(self._numbers, joints) | {STATES: names.state_names(joints)}
+        beside = filter(bag.holds, (DIAGNOSTICS, EVENTS))
+        for batch in bag.batches((*self._numbers, *beside), STATES, TOGETHER):
+            for topic, numbers in self._numbers.items():
+                table = bag.table(batch[topic], named[topic])
+                numbers.add(self.reader.complete(table) if topic == STATES else table)
+            for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
+                for status in message.status:
+                    self.counters[status.name] = {pair.key: pair.value for pair in status.values}
+            if EVENTS in batch:
+                self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
 
-    def _longest_section(self) -> Section:
-        """Return the longest section; raise BagError if it is empty."""
-        beside = tuple(topic for topic in (DIAGNOSTICS, EVENTS) if self._bag.holds(topic))
-        best: Section | None = None
-        section: Section | None = None
-        for states, new, tables in self._tables(self._topics, beside):
-            if not new.any():
-                continue
-            begin = states.number[0] if section is None else section.number
-            starts = states.number[1:][np.diff(states.stamp) < -JUMP * 1e9]
-            edges = [int(begin), *starts[starts > begin].tolist(), END]
-            for number, end in pairwise(edges):
-                inside = (states.number >= number) & (states.number < end)
-                part, fresh = states.rows(inside), new[inside]
-                if section is not None and section.number == number:
-                    section.end_number = end
-                elif fresh.any():
-                    self.jumps += section is not None
-                    section = Section(number, end, int(part.publish_time[0]), 0)
-                if section is None or not fresh.any():
-                    continue
-                section.last_sent = int(part.publish_time[fresh][-1])
-                section.length += int(fresh.sum())
-                section.add(part, fresh, self._commands(part, tables, section)[1], self._duration)
-                best = section if best is None or section.length > best.length else best
-        if best is None:
-            raise BagError(f"{self._bag.path} holds no complete state on {STATES}")
-        return best
+    def _choose(self, bag: Bag, duration: float) -> None:
+        """Find the rows of the run."""
+        stamp, sent = self._numbers[STATES].times()
+        if not len(stamp):
+            raise BagError(f"{bag.path} holds no complete state on {STATES}")
+        starts = np.flatnonzero(np.diff(stamp) < -JUMP * 1e9) + 1
+        begin, end = max(pairwise([0, *starts.tolist(), len(stamp)]), key=lambda ends: ends[1] - ends[0])
+        stamp, sent = stamp[begin:end], sent[begin:end]
+        answers, answered = self._answers_of(stamp, sent)
+        first = 0
+        if (answers >= 0).any():
+            row = int(np.argmax(answers >= 0))
+            waiting = np.flatnonzero((stamp <= stamp[row]) & (sent <= answered[row]))
+            first = int(waiting[-1]) if waiting.size else row
+        rows = first + first_of_each_stamp(stamp[first:])
+        rows = rows[(stamp[rows] >= stamp[first]) & ((stamp[rows] - stamp[first]) * 1e-9 < duration - 1e-9)]
+        last = stamp[rows[-1]]
+        if not np.isfinite(duration) and (answers[rows] >= 0).any():
+            rows = rows[: 1 + int(np.flatnonzero(answers[rows] >= 0)[-1])]
+        self.stamp, self.sent, self.answered = stamp[rows], sent[rows], answered[rows]
+        self._rows, self._answers = (begin + rows).astype(np.int32), answers[rows]
+        self._references = self._of_stamps(REFERENCE, self.stamp, sent)[0]
+        self.notes = self._notes(bag, len(starts), float(last - self.stamp[-1]) * 1e-9)
+        for numbers in self._numbers.values():
+            numbers.forget_times()
 
-    def _commands(self, states: States, tables: dict[str, JointTable], section: Section) -> tuple[Array, Times]:
-        """Return the command of each of k states: u (k, n) [N m], send time (k,) [ns]; NaN and -1 without a command.
+    def _answers_of(self, stamp: Times, sent: Times) -> tuple[Places, Times]:
+        """Return the command of each state of a section, and its send time [ns]; -1: none.
 
         Commands are matched by stamp where they carry one; else each state has the first one sent after it and before
-        the next state. states, commands: of a section.
+        the next state.
         """
-        time, stamped = states.publish_time, self.topic == ANSWERS
-        nothing = np.full((len(time), len(self._joints)), np.nan), np.full(len(time), -1, dtype=np.int64)
-        if self.topic is None or not len(time):
-            return nothing
-        table, begin = tables[self.topic], section.first_sent
-        end = section.last_sent + AFTERWARDS if section.end_number < END else END
-        if stamped:
-            begin, end = max(begin, time[0]), min(end, time[-1] + AFTERWARDS)
-        table = table.rows((table.publish_time >= begin) & (table.publish_time <= end))
-        if not len(table.stamp):
-            return nothing
-        if stamped:
-            table = table.rows(first_of_each_stamp(table.stamp))
-            place, found = match_stamps(states.stamp, table.stamp)
-        else:
-            place = np.searchsorted(table.publish_time, time)
-            found, place = place < len(table.stamp), np.minimum(place, len(table.stamp) - 1)
-            found &= table.publish_time[place] < np.append(time[1:], END)
-        return np.where(found[:, None], table.effort[place], np.nan), np.where(found, table.publish_time[place], -1)
+        if self._commands != EFFORTS:
+            return self._of_stamps(self._commands, stamp, sent)
+        _, when = self._numbers[EFFORTS].times()
+        place = np.searchsorted(when, sent)
+        time = np.append(when, END)[place]
+        found = (time < np.append(sent[1:], END)) & (time <= sent[-1] + AFTERWARDS)
+        return np.where(found, place, -1).astype(np.int32), np.where(found, time, -1)
 
-    def _select_notes(self) -> tuple[str, ...]:
-        """Return the notes on bag, states and commands."""
-        section, reader = self.section, self.reader
+    def _of_stamps(self, topic: str | None, stamp: Times, sent: Times) -> tuple[Places, Times]:
+        """Return the first message of a topic with each stamp, and its send time [ns]; -1: none.
+
+        sent: send times of the states of the section, among which the message was sent.
+        """
+        nothing = np.full(len(stamp), -1)
+        if topic not in self._numbers:
+            return nothing.astype(np.int32), nothing
+        stamps, when = self._numbers[topic].times()
+        inside = np.flatnonzero((when >= sent[0]) & (when <= sent[-1] + AFTERWARDS))
+        if not len(inside):
+            return nothing.astype(np.int32), nothing
+        first = inside[first_of_each_stamp(stamps[inside])]
+        place, found = match_stamps(stamp, stamps[first])
+        return np.where(found, first[place], -1).astype(np.int32), np.where(found, when[first[place]], -1)
+
+    def _notes(self, bag: Bag, jumps: int, tail: float) -> tuple[str, ...]:
+        """Return the notes; tail [s]: from the last state of the run to that of the section."""
+        reader, end = self.reader, (self.stamp[-1] - self.stamp[0]) * 1e-9
         unknown = "no effort of the controller, no latency"
         commands = ""
-        if self.topic is None:
+        if self._commands is None:
             commands = f"neither {ANSWERS} nor {EFFORTS} was recorded: {unknown}"
-        elif section.end is None:
-            commands = f"no state is answered on {self.topic}: {unknown}"
-        elif self.topic == EFFORTS:
+        elif not (self.answered >= 0).any():
+            commands = f"no state is answered on {self._commands}: {unknown}"
+        elif self._commands == EFFORTS:
             commands = (
                 f"{ANSWERS} was not recorded: a command of {EFFORTS} is taken to answer the last state sent before it"
             )
-        tail, end = (section.last - self.last) * 1e-9, (self.last - section.start) * 1e-9
         said = (
-            "" if self._bag.complete else "the bag was not closed: shown is what was written until then",
+            "" if bag.complete else "the bag was not closed: shown is what was written until then",
             reader.other_names,
             f"{reader.left_out} states are incomplete or not finite and left out" if reader.left_out else "",
             reader.no_motors,
-            f"time jumps back {self.jumps} times: shown is the longest of {self.jumps + 1} parts" if self.jumps else "",
+            f"time jumps back {jumps} times: shown is the longest of {jumps + 1} parts" if jumps else "",
             commands,
             f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown" if tail > TAIL else "",
         )

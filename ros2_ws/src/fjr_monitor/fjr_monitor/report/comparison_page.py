@@ -19,7 +19,8 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.model.robot import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
-from fjr_monitor.recording.timing import CountedTimes
+from fjr_monitor.recording.files import Times
+from fjr_monitor.recording.signals import END
 from fjr_monitor.report import html
 from fjr_monitor.report.html import DRAWN, Line, Plot, colour, decimated, drawable
 from fjr_monitor.report.metrics import Report
@@ -173,7 +174,7 @@ def storages(runs: Sequence[RunSummary]) -> Plot:
     lines = [*plot.lines]
     for i, metrics in enumerate(run.data.metrics for run in runs):
         bound = np.exp(-2.0 * metrics.decay.beta * plot.x)
-        shown = (metrics.decay.initial > 0) & (bound > floor) & (plot.x <= metrics.seconds)
+        shown = (metrics.decay.initial > 0) & (bound > floor) & (plot.x <= metrics.run.seconds)
         lines.append(Line("", np.where(shown, bound, np.nan), colour(i), 1.2, (6, 4)))
     return replace(plot, lines=lines)
 
@@ -195,15 +196,15 @@ def _lines(runs: Sequence[RunSummary], times: Array, values: Sequence[Array], wi
     ]
 
 
-def _distribution(name: str, title: str, what: str, runs: Sequence[RunSummary], values: Sequence[CountedTimes]) -> Plot:
-    """Plot the share of the states whose value [ms] is larger than a time."""
-    low = max(min([1.0, *(each.least * 1e-6 for each in values)]), SHORTEST)
-    high = max(SHORTEST, *(each.largest * 1e-6 for each in values))
+def _distribution(name: str, title: str, what: str, runs: Sequence[RunSummary], values: Sequence[Times]) -> Plot:
+    """Plot the share of the states whose value [ns] is larger than a time."""
+    low = max(min(1.0, *(1e-6 * each.min(initial=END) for each in values)), SHORTEST)
+    high = max(SHORTEST, *(1e-6 * each.max(initial=0) for each in values))
     times = np.asarray(np.geomspace(low / 1.05, max(high, low) * 1.05, POINTS), dtype=np.float64)
     lines = [
-        Line(run.label, 100.0 * each.above(times * 1e6), colour(i))
+        Line(run.label, 100.0 - 100.0 * np.searchsorted(np.sort(each), times * 1e6, "right") / len(each), colour(i))
         for i, (run, each) in enumerate(zip(runs, values, strict=True))
-        if each.count
+        if len(each)
     ]
     caption = f"Share of the states {what} than the time on the axis; both axes log."
     axes = {"x_label": "time [ms]", "y_label": "states [%]", "x_log": True, "y_log": True, "time": False}

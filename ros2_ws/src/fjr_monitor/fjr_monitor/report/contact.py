@@ -103,7 +103,7 @@ def _residual_torques(run: Recording, law: TrackingLaw) -> tuple[Array, Array, A
 
 def _along(simulated: JointTable, run: Recording, t: Array, torque: Array) -> Array:
     """Return the forces (k,) [N] along the simulator's lines of action that explain torques (k, n) at t (k,) best."""
-    n, ended = torque.shape[1], (simulated.stamp - run.start) * 1e-9 - run.step / 2
+    n, ended = torque.shape[1], (simulated.stamp - run.signals.stamp[0]) * 1e-9 - run.step / 2
     own = np.array([simulated.effort[np.abs(ended - each) < TOGETHER * run.step / 2].sum(axis=0) for each in t])
     per_newton = own[:, :n] / np.linalg.norm(own[:, n : n + 3], axis=1, keepdims=True)
     return np.abs((per_newton * torque).sum(axis=1)) / (per_newton**2).sum(axis=1)

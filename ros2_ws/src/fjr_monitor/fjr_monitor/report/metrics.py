@@ -166,8 +166,7 @@ class Report:
 class Metrics:
     """What is known of a run once all its parts were read twice: first what the second reading depends on.
 
-    decay, balance, tracked, clock: V, energies, tracking and timing of the second reading; seconds: time of its last
-    state.
+    decay, balance, tracked: V, energies and tracking of the second reading; clock: timing.
     """
 
     def __init__(self, run: Recording) -> None:
@@ -184,8 +183,8 @@ class Metrics:
         self.efforts_known = self.energy_known = self._storage_known = False
         self.decay = Decay(rate.beta, rate.proven and run.scenario.plant_is_the_model)
         self.tracked, self.balance = Tracked(run), Balance()
-        self.clock = Clock(run.sample_period, run.lockstep)
-        self.seconds = 0.0
+        signals = run.signals
+        self.clock = Clock(signals.stamp, signals.sent, signals.answered, run.sample_period, run.lockstep)
 
     def read(self, also: Callable[[RunData, Power], None] = lambda part, flow: None) -> None:
         """Read all parts for the second time; also: what else is to see each part and its power balance."""
@@ -194,14 +193,12 @@ class Metrics:
             self.energy_known = bool(np.isfinite(part.certificate.H[0])) if not part.begin else self.energy_known
             self._storage_known |= bool(np.isfinite(part.V).any())
             self.efforts_known |= bool(np.isfinite(part.u).any())
-            self.clock.add(part.t, part.sent, part.answered, part.begin)
             self.tracked.add(part)
             self.decay.add(part)
             self.balance.add(flow)
             if self._diagnosis is not None:
                 self._diagnosis.add(part, part.certificate)
             also(part, flow)
-            self.seconds = float(part.t[-1])
 
     def verdict(self) -> Diagnosis:
         """Return whether V decayed as guaranteed, and the causes if it did not."""
@@ -245,7 +242,7 @@ class Metrics:
             energy=self.balance.energy() if self.energy_known else None,
             timing=self.clock.timing(),
             counts=self.clock.counts(duration, lost),
-            diagnostics=run.counters,
+            diagnostics=run.signals.counters,
             versions=versions,
             guesses=run.scenario.robot_warnings,
             **more,

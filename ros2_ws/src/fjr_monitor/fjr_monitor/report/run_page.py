@@ -11,7 +11,7 @@ import numpy as np
 
 from fjr_core.config.controller import TORQUE_BANDWIDTH
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.timing import CountedTimes
+from fjr_monitor.recording.files import Times
 from fjr_monitor.report import html
 from fjr_monitor.report.html import ArmReplay, Line, Plot, colour, drawable
 from fjr_monitor.report.metrics import Report
@@ -235,9 +235,7 @@ class RunPlots:
         return [Line(joint, values[:, j], colour(j), width, step=step) for j, joint in enumerate(self._joints)]
 
 
-def histogram(
-    name: str, title: str, found: tuple[float, float, float], times: CountedTimes, label: str, shade: str
-) -> Plot:
+def histogram(name: str, title: str, found: tuple[float, float, float], times: Times, label: str, shade: str) -> Plot:
     """Plot a histogram with two log axes that cover all values; found: median, 99 % and largest [us]."""
     caption = "50 %: {}, 99 %: {}, largest: {}.".format(*map(milliseconds, found))
     edges, heights = bins(times)
@@ -246,11 +244,12 @@ def histogram(
     return Plot(name, title, caption, edges, [line], y_range=(HALF, None), **axes)  # type: ignore[arg-type]
 
 
-def bins(times: CountedTimes) -> tuple[Array, Array]:
-    """Return edges (BINS + 1,) [ms] and the counts from each edge to the next, HALF for an empty bin."""
-    if not times.count:
+def bins(times: Times) -> tuple[Array, Array]:
+    """Return edges (BINS + 1,) [ms] and the counts of times [ns] from each to the next, HALF for an empty bin."""
+    if not len(times):
         return np.array([SMALLEST, 1.0]), np.full(2, np.nan)
-    low = max(times.least * 1e-6, SMALLEST)
-    high = max(times.largest * 1e-6 * 1.01, 1.2 * low)
+    low = max(times.min() * 1e-6, SMALLEST)
+    high = max(times.max() * 1e-6 * 1.01, 1.2 * low)
     edges = np.asarray(np.geomspace(min(low, high / 2) / 1.01, high, BINS + 1), dtype=np.float64)
-    return edges, np.append(np.maximum(times.histogram(edges * 1e6), HALF), HALF)
+    counts, _ = np.histogram(np.maximum(times, edges[0] * 1e6), edges * 1e6)
+    return edges, np.append(np.maximum(counts, HALF), HALF)

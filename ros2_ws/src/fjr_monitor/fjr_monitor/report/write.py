@@ -94,7 +94,7 @@ def report_bag(
         metrics = Metrics(run)
         data = Shown(metrics)
         metrics.read(*([data.add] if pages else []))
-        length = duration or metrics.seconds + run.sample_period
+        length = duration or run.seconds + run.sample_period
         report = metrics.report(name, length, planned_s=duration, **known)
 
         def write(place: Path) -> None:
