@@ -20,14 +20,16 @@ import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_monitor.recording import columns as stored
 from fjr_monitor.recording import run as recorded_run
 from fjr_monitor.recording import signals
 from fjr_monitor.recording.bag import header_stamp, read_bag
+from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.report.comparison_page import differences
 from fjr_monitor.report.metrics import Metrics
-from fjr_monitor.report.shown import BUCKETS, Columns, Shown
+from fjr_monitor.report.shown import BUCKETS, Shown, kept_rows
 from fjr_msgs_py.scenarios import library
 from nodes.harness import nanoseconds
 from system.bags import JOINT_STATE, STORE, rewritten, text_message
@@ -320,12 +322,11 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
     for size, around in ((10_000, 10_000), (97, 60)):
         monkeypatch.setattr(recorded_run, "AROUND", around)
         monkeypatch.setattr(signals, "TOGETHER", size)
-        monkeypatch.setattr(signals, "IN_MEMORY", size)
+        monkeypatch.setattr(stored, "IN_MEMORY", size)
         recording = Recording(read_bag(bag), model, duration, size)
         parts = list(recording.parts())
         metrics = Metrics(recording)
         shown = Shown(metrics)
-        metrics.read(shown.add)
         found.append((parts, metrics.report("run", 1.0).as_json(), shown))
     (one, whole, shown), (many, pieces, in_parts) = found
     assert len(one) == 1
@@ -335,9 +336,9 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
         rounding = 1e-5 if name == "jets" else 1e-9  # the fourth derivative of a spline
         np.testing.assert_allclose(values, getattr(one[0], name), rtol=rounding, atol=rounding)
     assert_close(pieces, whole)
-    for columns, others in ((shown.states, in_parts.states), (shown.steps, in_parts.steps)):
-        for name in columns.kept:
-            np.testing.assert_allclose(others[name], columns[name], rtol=1e-6, atol=1e-9)
+    for values, others in ((shown.states, in_parts.states), (shown.steps, in_parts.steps)):
+        for name in values:
+            np.testing.assert_allclose(others[name], values[name], rtol=1e-6, atol=1e-9)
 
 
 def test_messages_that_were_received_late_have_their_place_by_the_time_they_were_sent(
@@ -387,13 +388,13 @@ def assert_close(found: Any, wanted: Any, where: str = "") -> None:
         assert found == wanted, where
 
 
-def test_a_spike_of_one_state_is_seen_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_spike_of_one_state_is_seen_in_a_long_run() -> None:
     rows, values = 100_000, np.random.default_rng(0).normal(size=(100_000, 3))
     values[54_321, 1], values[12_345, 2] = 50.0, -50.0
-    columns = Columns(rows)
+    run = Columns()
     for part in np.array_split(np.arange(rows), 17):
-        columns.add(t=part.astype(float), values=values[part])
-    t, kept = columns["t"], columns["values"]
+        run.add(t=part.astype(float), values=values[part])
+    t, kept = run.at(kept_rows(run)).values()
     assert len(t) < 10 * BUCKETS
     assert t[0] == 0 and t[-1] == rows - 1 and (np.diff(t) > 0).all()  # noqa: PT018
     assert t[np.argmax(kept[:, 1])] == 54_321

@@ -166,26 +166,6 @@ class Recording:
         found = *estimates, *reference.notes(signals.has_reference)
         self.notes = (*signals.notes, *found, *self._rate_note)
 
-    def time_series(self) -> Iterator[dict[str, Array]]:
-        """Yield the columns (k,) of a table of the run, part by part, by name, joint and unit: `q_l.joint1 [rad]`."""
-        n = len(self.joints)
-        for part in self.parts():
-            signals = (
-                ("q_l", "position", part.q_l),
-                ("q_m", "position", part.position[:, n:]),
-                ("dq_l", "velocity", part.velocity[:, :n]),
-                ("dq_m", "velocity", part.velocity[:, n:]),
-                ("q_ld", "position", part.q_ld),
-                ("dq_ld", "velocity", part.jets[:, 1]),
-                ("u", "effort", part.u),
-                ("external_torque", "effort", part.external_torque),
-            )
-            columns = {"t [s]": part.t, "V [J]": part.V, "H [J]": part.certificate.H, "latency [s]": part.latency}
-            for name, quantity, values in signals:
-                for joint, units, column in zip(self.joints, self.units, values.T, strict=True):
-                    columns[f"{name}.{joint} [{getattr(units, quantity)}]"] = column
-            yield {name: column[part.begin :] for name, column in columns.items()}
-
     def _certificate(self) -> Callable[[RunData], CertificateSeries]:
         """Return the certificate along a part; of another law than v-dPBC only what the robot alone determines."""
         scenario, law = self.scenario, self.scenario.certified_law

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice, pairwise
-from tempfile import SpooledTemporaryFile, gettempdir
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.bag import Bag, JointTable, in_order
+from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import BagError, Times
 from fjr_msgs_py import names
 
@@ -28,56 +28,12 @@ REFERENCE = names.REFERENCE.replace("~", f"/{CONTROLLER}")
 DIAGNOSTICS, EVENTS = "/diagnostics", f"/{CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
 SCANNED_MESSAGES = 1000  # for joint names
 TOGETHER = 8192  # states that are decoded at a time
-IN_MEMORY = 2**26  # bytes of the numbers of a topic; more go to a file
 AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
 JUMP = 0.5  # s; a larger step back in stamps starts a new section (reset, looped bag)
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 END = 2**63 - 1
 Places = NDArray[np.int32]
 """Rows of another topic that belong to k states; -1: none."""
-
-
-class Numbers:
-    """Positions, velocities and efforts of the messages of a topic, in a scratch file if they are many."""
-
-    def __init__(self) -> None:
-        self._file = SpooledTemporaryFile(IN_MEMORY)  # noqa: SIM115 (closed in __del__)
-        self._widths = [0, 0, 0]
-        self._times: list[tuple[Times, Times]] = []
-
-    def __del__(self) -> None:
-        self._file.close()
-
-    def add(self, table: JointTable) -> None:
-        """Add messages; raise BagError if the disk is full."""
-        values = table.position, table.velocity, table.effort
-        self._widths = [each.shape[1] for each in values]
-        self._times.append((table.stamp, table.publish_time))
-        try:
-            self._file.write(np.hstack(values).tobytes())
-        except OSError as error:
-            room = f"expected room for the numbers of a bag in {gettempdir()} (TMPDIR)"
-            raise BagError(f"the scratch file cannot be written ({error.strerror}); {room}") from None
-
-    def times(self) -> tuple[Times, Times]:
-        """Return stamps and send times [ns] of all messages."""
-        stamp, sent = map(np.concatenate, zip(*self._times, strict=True))
-        return stamp, sent
-
-    def forget_times(self) -> None:
-        """Keep the numbers alone."""
-        self._times = []
-
-    def of(self, rows: NDArray[np.integer[Any]]) -> list[Array]:
-        """Return positions, velocities and efforts of the messages with these numbers; NaN for -1."""
-        values = np.full((len(rows), sum(self._widths)), np.nan)
-        known = rows[rows >= 0]
-        if len(known):
-            first, width = int(known.min()), values.shape[1]
-            self._file.seek(8 * width * first)
-            block = np.frombuffer(self._file.read(8 * width * (int(known.max()) + 1 - first)))
-            values[rows >= 0] = block.reshape(-1, width)[known - first]
-        return np.split(values, np.cumsum(self._widths)[:-1], axis=1)
 
 
 class RecordedStates:
@@ -162,53 +118,60 @@ class RunSignals:
         self.events: list[tuple[Any, int]] = []
         self._commands = next((topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)), None)
         kept = [STATES, *filter(None, [self._commands]), *filter(bag.holds, [REFERENCE])]
-        self._numbers = {topic: Numbers() for topic in kept}
-        self._read(bag, scenario.joints)
-        self._choose(bag, duration)
+        self._numbers = {topic: Columns() for topic in kept}
+        self._choose(bag, self._times(bag, scenario.joints), duration)
 
-    def states(self, rows: slice) -> list[Array]:
+    def states(self, rows: slice) -> tuple[Array, Array, Array]:
         """Return positions, velocities (m, 2n) [rad, rad/s] and measured motor torques (m, n) [N m] of states."""
-        return self._numbers[STATES].of(self._rows[rows])
+        found = self._numbers[STATES].at(self._rows[rows])
+        return found["position"], found["velocity"], found["effort"]
 
     def efforts(self, rows: slice) -> Array:
         """Return the commands (m, n) [N m] of states; NaN without one."""
         if self._commands is None:
             return np.full_like(self.states(rows)[2], np.nan)
-        return self._numbers[self._commands].of(self._answers[rows])[2]
+        return self._numbers[self._commands].at(self._answers[rows])["effort"]
 
-    def reference(self, rows: slice) -> list[Array]:
+    def reference(self, rows: slice) -> tuple[Array, Array]:
         """Return recorded positions and velocities (m, n) of the reference at states; NaN without one."""
-        nothing = np.full_like(self.states(rows)[2], np.nan)
-        return self._numbers[REFERENCE].of(self._references[rows])[:2] if self.has_reference else [nothing, nothing]
+        if not self.has_reference:
+            nothing = np.full_like(self.states(rows)[2], np.nan)
+            return nothing, nothing
+        found = self._numbers[REFERENCE].at(self._references[rows])
+        return found["position"], found["velocity"]
 
     @property
     def has_reference(self) -> bool:
         """Return whether the reference was recorded."""
         return REFERENCE in self._numbers
 
-    def _read(self, bag: Bag, joints: tuple[str, ...]) -> None:
-        """Read the messages of the run, and counters and events on the way."""
+    def _times(self, bag: Bag, joints: tuple[str, ...]) -> dict[str, tuple[Times, Times]]:
+        """Read the messages, with counters and events; return stamps and send times [ns] of each topic."""
+        found: dict[str, list[tuple[Times, Times]]] = {topic: [] for topic in self._numbers}
         named = dict.fromkeys(self._numbers, joints) | {STATES: names.state_names(joints)}
         beside = filter(bag.holds, (DIAGNOSTICS, EVENTS))
         for batch in bag.batches((*self._numbers, *beside), STATES, TOGETHER):
             for topic, numbers in self._numbers.items():
                 table = bag.table(batch[topic], named[topic])
-                numbers.add(self.reader.complete(table) if topic == STATES else table)
+                table = self.reader.complete(table) if topic == STATES else table
+                numbers.add(position=table.position, velocity=table.velocity, effort=table.effort)
+                found[topic].append((table.stamp, table.publish_time))
             for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
                 for status in message.status:
                     self.counters[status.name] = {pair.key: pair.value for pair in status.values}
             if EVENTS in batch:
                 self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
+        return {topic: tuple(map(np.concatenate, zip(*each, strict=True))) for topic, each in found.items()}  # type: ignore[misc]
 
-    def _choose(self, bag: Bag, duration: float) -> None:
+    def _choose(self, bag: Bag, times: dict[str, tuple[Times, Times]], duration: float) -> None:
         """Find the rows of the run."""
-        stamp, sent = self._numbers[STATES].times()
+        stamp, sent = times[STATES]
         if not len(stamp):
             raise BagError(f"{bag.path} holds no complete state on {STATES}")
         starts = np.flatnonzero(np.diff(stamp) < -JUMP * 1e9) + 1
         begin, end = max(pairwise([0, *starts.tolist(), len(stamp)]), key=lambda ends: ends[1] - ends[0])
         stamp, sent = stamp[begin:end], sent[begin:end]
-        answers, answered = self._answers_of(stamp, sent)
+        answers, answered = self._answers_of(times, stamp, sent)
         first = 0
         if (answers >= 0).any():
             row = int(np.argmax(answers >= 0))
@@ -221,40 +184,22 @@ class RunSignals:
             rows = rows[: 1 + int(np.flatnonzero(answers[rows] >= 0)[-1])]
         self.stamp, self.sent, self.answered = stamp[rows], sent[rows], answered[rows]
         self._rows, self._answers = (begin + rows).astype(np.int32), answers[rows]
-        self._references = self._of_stamps(REFERENCE, self.stamp, sent)[0]
+        self._references = _of_stamps(times.get(REFERENCE), self.stamp, sent)[0]
         self.notes = self._notes(bag, len(starts), float(last - self.stamp[-1]) * 1e-9)
-        for numbers in self._numbers.values():
-            numbers.forget_times()
 
-    def _answers_of(self, stamp: Times, sent: Times) -> tuple[Places, Times]:
+    def _answers_of(self, times: dict[str, tuple[Times, Times]], stamp: Times, sent: Times) -> tuple[Places, Times]:
         """Return the command of each state of a section, and its send time [ns]; -1: none.
 
         Commands are matched by stamp where they carry one; else each state has the first one sent after it and before
         the next state.
         """
         if self._commands != EFFORTS:
-            return self._of_stamps(self._commands, stamp, sent)
-        _, when = self._numbers[EFFORTS].times()
+            return _of_stamps(times.get(ANSWERS), stamp, sent)
+        _, when = times[EFFORTS]
         place = np.searchsorted(when, sent)
         time = np.append(when, END)[place]
         found = (time < np.append(sent[1:], END)) & (time <= sent[-1] + AFTERWARDS)
         return np.where(found, place, -1).astype(np.int32), np.where(found, time, -1)
-
-    def _of_stamps(self, topic: str | None, stamp: Times, sent: Times) -> tuple[Places, Times]:
-        """Return the first message of a topic with each stamp, and its send time [ns]; -1: none.
-
-        sent: send times of the states of the section, among which the message was sent.
-        """
-        nothing = np.full(len(stamp), -1)
-        if topic not in self._numbers:
-            return nothing.astype(np.int32), nothing
-        stamps, when = self._numbers[topic].times()
-        inside = np.flatnonzero((when >= sent[0]) & (when <= sent[-1] + AFTERWARDS))
-        if not len(inside):
-            return nothing.astype(np.int32), nothing
-        first = inside[first_of_each_stamp(stamps[inside])]
-        place, found = match_stamps(stamp, stamps[first])
-        return np.where(found, first[place], -1).astype(np.int32), np.where(found, when[first[place]], -1)
 
     def _notes(self, bag: Bag, jumps: int, tail: float) -> tuple[str, ...]:
         """Return the notes; tail [s]: from the last state of the run to that of the section."""
@@ -279,6 +224,22 @@ class RunSignals:
             f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown" if tail > TAIL else "",
         )
         return tuple(note for note in said if note)
+
+
+def _of_stamps(times: tuple[Times, Times] | None, stamp: Times, sent: Times) -> tuple[Places, Times]:
+    """Return the first message with each stamp, and its send time [ns]; -1: none.
+
+    times: stamps and send times of the messages, None: no such topic. sent: send times of the states of the section,
+    among which the message was sent.
+    """
+    nothing = np.full(len(stamp), -1)
+    stamps, when = times or (nothing, nothing)
+    inside = np.flatnonzero((when >= sent[0]) & (when <= sent[-1] + AFTERWARDS))
+    if not len(inside):
+        return nothing.astype(np.int32), nothing
+    first = inside[first_of_each_stamp(stamps[inside])]
+    place, found = match_stamps(stamp, stamps[first])
+    return np.where(found, first[place], -1).astype(np.int32), np.where(found, when[first[place]], -1)
 
 
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:

@@ -172,9 +172,9 @@ def storages(runs: Sequence[RunSummary]) -> Plot:
     caption = "V relative to its start; dashed: the bound exp(−2βt) of each run."
     plot = _over_time("storage", "Storage V and its bound", caption, runs, relative, "V(t) / V(0)")
     lines = [*plot.lines]
-    for i, metrics in enumerate(run.data.metrics for run in runs):
-        bound = np.exp(-2.0 * metrics.decay.beta * plot.x)
-        shown = (metrics.decay.initial > 0) & (bound > floor) & (plot.x <= metrics.run.seconds)
+    for i, data in enumerate(run.data for run in runs):
+        bound = np.exp(-2.0 * data.metrics.beta * plot.x)
+        shown = (data.states["V"][0] > 0) & (bound > floor) & (plot.x <= data.run.seconds)
         lines.append(Line("", np.where(shown, bound, np.nan), colour(i), 1.2, (6, 4)))
     return replace(plot, lines=lines)
 

@@ -24,19 +24,19 @@ from fjr_core.model.robot import joined
 from fjr_monitor.diagnosis.diagnosis import FirstPass, SecondPass
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import EXTERNAL, SAMPLING, Diagnosis, unknown
-from fjr_monitor.recording.run import ControllerStop, Recording, RunData
+from fjr_monitor.recording.columns import Columns
+from fjr_monitor.recording.run import ControllerStop, Recording
 from fjr_monitor.recording.timing import Clock, Counts, Timing
 from fjr_monitor.report.contact import Contact, contact
 from fjr_monitor.report.performance import (
-    Balance,
-    Decay,
     Energy,
     JointMetrics,
-    Power,
     Storage,
-    Tracked,
     Tracking,
-    power,
+    energy,
+    steps,
+    storage,
+    tracked,
 )
 from fjr_msgs_py.console.output import finite, number, percent
 from fjr_msgs_py.console.provenance import Provenance
@@ -164,15 +164,16 @@ class Report:
 
 
 class Metrics:
-    """What is known of a run once all its parts were read twice: first what the second reading depends on.
+    """What is known of a run once its parts were read twice: first what the second reading depends on.
 
-    decay, balance, tracked: V, energies and tracking of the second reading; clock: timing.
+    columns: signals and powers of all states, as a table names them; external_torque only if it is `shown`. beta [1/s],
+    proven: rate of V. clock: timing.
     """
 
-    def __init__(self, run: Recording) -> None:
-        self.run = run
+    def __init__(self, run: Recording, shown: bool = True) -> None:
+        self.run, self.columns = run, Columns()
         self._diagnosis: SecondPass | None = None
-        rate = NO_RATE
+        rate, n = NO_RATE, len(run.joints)
         if (law := run.scenario.certified_law) is not None:
             scales = JointTolerances.of(run.scenario.controller_values, run.scenario.robot)
             first = FirstPass(law, run.states, run.step, not run.lockstep, scales)
@@ -180,32 +181,39 @@ class Metrics:
                 first.add(part)
             rate = first.visited.rate(law)
             self._diagnosis = SecondPass(first, rate.beta)
-        self.efforts_known = self.energy_known = self._storage_known = False
-        self.decay = Decay(rate.beta, rate.proven and run.scenario.plant_is_the_model)
-        self.tracked, self.balance = Tracked(run), Balance()
+        self.beta, self.proven = rate.beta, rate.proven and run.scenario.plant_is_the_model
         signals = run.signals
         self.clock = Clock(signals.stamp, signals.sent, signals.answered, run.sample_period, run.lockstep)
-
-    def read(self, also: Callable[[RunData, Power], None] = lambda part, flow: None) -> None:
-        """Read all parts for the second time; also: what else is to see each part and its power balance."""
-        for part in self.run.parts():
-            flow = power(part, self.run.scenario.robot.B_m)
-            self.energy_known = bool(np.isfinite(part.certificate.H[0])) if not part.begin else self.energy_known
-            self._storage_known |= bool(np.isfinite(part.V).any())
-            self.efforts_known |= bool(np.isfinite(part.u).any())
-            self.tracked.add(part)
-            self.decay.add(part)
-            self.balance.add(flow)
+        for part in run.parts():
+            new = {
+                "t": part.t,
+                "q_l": part.q_l,
+                "q_m": part.position[:, n:],
+                "dq_l": part.velocity[:, :n],
+                "dq_m": part.velocity[:, n:],
+                "q_ld": part.q_ld,
+                "dq_ld": part.jets[:, 1],
+                "error": part.error,
+                "u": part.u,
+                "external_torque": part.external_torque if shown else np.full_like(part.u, np.nan),
+                "V": part.V,
+                "H": part.certificate.H,
+                "since": np.diff(part.sent, prepend=np.nan),  # the state before was sent
+                "latency": part.latency,
+            }
+            new = {name: values[part.begin :] for name, values in new.items()}
+            self.columns.add(**new, **steps(part, run.scenario.robot.B_m, rate.beta))
             if self._diagnosis is not None:
                 self._diagnosis.add(part, part.certificate)
-            also(part, flow)
+        self.energy_known = bool(np.isfinite(self.columns.column("H")[0]))
+        self.efforts_known = any(np.isfinite(self.columns.column("u", j)).any() for j in range(n))
 
     def verdict(self) -> Diagnosis:
         """Return whether V decayed as guaranteed, and the causes if it did not."""
         values = self.run.scenario.controller_values
         if self._diagnosis is None:
             return unknown(f"the law {values['law.type']} has no certificate")
-        if not self._storage_known:
+        if not np.isfinite(self.columns.column("V")).any():
             return unknown("V is not known: the bag lacks links or motors")
         if not self.efforts_known:
             return unknown("no effort of the controller was recorded")
@@ -216,11 +224,13 @@ class Metrics:
     def report(self, name: str, duration: float, **more: Any) -> Report:
         """Return the report of `duration` seconds of stamped time; more: fields that the bag does not hold."""
         run, verdict, law = self.run, self.verdict(), self.run.scenario.certified_law
-        joints = next((each.joint.split(", ") for each in verdict.findings if each.kind == EXTERNAL), None)
-        stop, touched = run.stop, contact(run, law, joints) if joints and law else None
+        touching = next((each.joint.split(", ") for each in verdict.findings if each.kind == EXTERNAL), None)
+        stop, touched = run.stop, contact(run, law, touching) if touching and law else None
         if stop and touched and touched.begins_s <= stop.at_s <= touched.ends_s + AFTER_CONTACT:
             stop = replace(stop, reason=f"{stop.reason}; {touched.sentence}")
         lost = {topic: each.lost for topic, each in sorted(run.bag.topics.items())}
+        t, V = self.columns.column("t"), self.columns.column("V")
+        joints, tracking = tracked(run, self.columns)
         versions: dict[str, str] = {}
         for each in VERSIONS:
             with suppress(PackageNotFoundError):
@@ -236,10 +246,10 @@ class Metrics:
             verdict=verdict,
             contact=touched,
             missing=(*run.bag.notes, *run.notes),
-            tracking=self.tracked.tracking(),
-            joints=self.tracked.joints(),
-            storage=self.decay.storage() if np.isfinite(self.decay.initial) else None,
-            energy=self.balance.energy() if self.energy_known else None,
+            tracking=tracking,
+            joints=joints,
+            storage=storage(t, V, self.beta, self.proven),
+            energy=energy(self.columns) if self.energy_known else None,
             timing=self.clock.timing(),
             counts=self.clock.counts(duration, lost),
             diagnostics=run.signals.counters,

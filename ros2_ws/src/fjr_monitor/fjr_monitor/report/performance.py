@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Performance of a run that comes in parts: tracking error and effort, V against its bound, the power balance.
+"""Performance of a run: tracking error and effort, V against its bound, the power balance.
 
 The power balance is that of eq. (36): dH/dt = dq_m' B_m u - dq_l' D_l dq_l - dq_m' D_m dq_m. An effort that is held
 over a sample does the work effort times motor displacement exactly; only the dissipation needs quadrature (trapezoidal
@@ -9,12 +9,15 @@ rule).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
+from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.run import Recording, RunData
 
 STEADY_AFTER = 2.0  # s; metrics "after 2 s" exclude the transient
@@ -67,127 +70,83 @@ class Tracking:
     reference_mismatch_rad: float  # recorded minus planned reference: a cross-check, near 0
 
 
-class Sizes:
-    """Number, largest and root mean square (n,) of the values of each joint that are known; NaN without any."""
-
-    def __init__(self, n: int) -> None:
-        self.count, self.largest, self._squares = np.zeros(n, dtype=int), np.full(n, np.nan), np.zeros(n)
-
-    def add(self, sizes: Array) -> None:
-        """Add absolute values (k, n), NaN where not known."""
-        self.count += (~np.isnan(sizes)).sum(axis=0)
-        self.largest = np.fmax(self.largest, np.fmax.reduce(sizes, axis=0, initial=np.nan))
-        self._squares += np.nansum(sizes**2, axis=0)
-
-    @property
-    def rms(self) -> Array:
-        """Return the root mean squares."""
-        return np.asarray(np.sqrt(self._squares / np.where(self.count, self.count, np.nan)))
-
-
-class Settling:
-    """When values stay within a band: the first time after the last one outside of it."""
-
-    def __init__(self, band: float, columns: int) -> None:
-        self._band, self._known = band, np.zeros(columns, dtype=bool)
-        self._since = np.zeros(columns)  # s; NaN: outside at the latest time
-
-    def add(self, t: Array, values: Array) -> None:
-        """Add values (k, columns) at times t (k,)."""
-        self._known |= np.isfinite(values).any(axis=0)
-        for j, outside in enumerate((values > self._band).T):
-            rows = np.flatnonzero(outside)
-            if rows.size:
-                self._since[j] = t[rows[-1] + 1] if rows[-1] + 1 < len(t) else np.nan
-            elif np.isnan(self._since[j]):
-                self._since[j] = t[0]
-
-    def time(self, column: int) -> float | None:
-        """Return the time [s]; None if never or unknown."""
-        settled = np.isfinite(self._band) and self._known[column] and not np.isnan(self._since[column])
-        return float(self._since[column]) if settled else None
-
-
-class Tracked:
-    """Tracking error and effort of a run that comes in parts."""
-
-    def __init__(self, run: Recording) -> None:
-        n = len(run.joints)
-        self._run, self._limit = run, run.effort_limit
-        self._errors, self._late, self._efforts = Sizes(n), Sizes(n), Sizes(n)
-        self._initial: Array | None = None
-        self._settling = Settling(np.nan, n + 1)
-        self._at_limit = np.zeros(n, dtype=int)
-        self._commands = self._saturated = 0
-
-    def add(self, part: RunData) -> None:
-        """Add the new states of a part."""
-        t, size, u = part.t[part.begin :], np.abs(part.error[part.begin :]), np.abs(part.u[part.begin :])
-        if self._initial is None:
-            self._initial = size[0]
-            self._settling = Settling(SETTLED * float(size[0].max()), size.shape[1] + 1)
-        self._errors.add(size)
-        self._late.add(size[t >= STEADY_AFTER])
-        self._settling.add(t, np.column_stack([size, size.max(axis=1)]))
-        self._efforts.add(u)
-        at_limit, whole = np.isfinite(u) & (u >= AT_LIMIT * self._limit), np.isfinite(u).all(axis=1)
-        self._at_limit += at_limit.sum(axis=0)
-        self._commands += int(whole.sum())
-        self._saturated += int((at_limit[whole]).any(axis=1).sum())
-
-    def joints(self) -> list[JointMetrics]:
-        """Return the metrics of every joint."""
-        assert self._initial is not None  # a run has a state
-        errors, late, efforts = self._errors, self._late, self._efforts
-        at_limit = self._at_limit / np.where(efforts.count, efforts.count, np.nan)
-        return [
+def tracked(run: Recording, columns: Columns) -> tuple[list[JointMetrics], Tracking]:
+    """Return the metrics of every joint and of all joints; columns: t, error and u of all states."""
+    t, first = columns.column("t"), np.abs(columns.at(np.zeros(1, dtype=int))["error"][0])
+    band = SETTLED * float(first.max())
+    joints, largest = [], np.zeros(len(t))
+    commanded, saturated = np.ones(len(t), dtype=bool), np.zeros(len(t), dtype=bool)
+    for j, (joint, units, limit) in enumerate(zip(run.joints, run.units, run.effort_limit, strict=True)):
+        size, u = np.abs(columns.column("error", j)), np.abs(columns.column("u", j))
+        at_limit = np.isfinite(u) & (u >= AT_LIMIT * limit)
+        (peak, rms), (late_peak, late_rms) = _peak_and_rms(size), _peak_and_rms(size[t >= STEADY_AFTER])
+        peak_effort, rms_effort = _peak_and_rms(u)
+        joints.append(
             JointMetrics(
                 joint=joint,
                 position_unit=units.position,
                 effort_unit=units.effort,
-                initial_error_rad=float(self._initial[j]),
-                peak_error_rad=float(errors.largest[j]),
-                rms_error_rad=float(errors.rms[j]),
-                peak_error_after_2s_rad=float(late.largest[j]),
-                rms_error_after_2s_rad=float(late.rms[j]),
-                settling_time_2_percent_s=self._settling.time(j),
-                peak_effort_nm=float(efforts.largest[j]),
-                rms_effort_nm=float(efforts.rms[j]),
+                initial_error_rad=float(first[j]),
+                peak_error_rad=peak,
+                rms_error_rad=rms,
+                peak_error_after_2s_rad=late_peak,
+                rms_error_after_2s_rad=late_rms,
+                settling_time_2_percent_s=settling_time(t, size, band),
+                peak_effort_nm=peak_effort,
+                rms_effort_nm=rms_effort,
                 effort_limit_nm=float(limit),
-                saturated_fraction=float(at_limit[j]) if np.isfinite(limit) else np.nan,
+                saturated_fraction=_share(at_limit, ~np.isnan(u)) if np.isfinite(limit) else np.nan,
             )
-            for j, (joint, units, limit) in enumerate(zip(self._run.joints, self._run.units, self._limit, strict=True))
-        ]
-
-    def tracking(self) -> Tracking:
-        """Return the metrics of all joints."""
-        assert self._initial is not None
-        joints, peaks = self._run.joints, self._efforts.largest
-        (peak, peak_at), (share, share_at) = (self._largest(each) for each in (peaks, peaks / self._limit))
-        worst, worst_at = self._largest(self._late.largest)
-        limited = self._commands and np.isfinite(self._limit).any()
-        return Tracking(
-            peak_effort_nm=peak,
-            peak_effort_joint=peak_at,
-            largest_share_joint=share_at if share > 0 else None,
-            max_error_after_2s_joint=worst_at,
-            peak_effort_by_joint_nm=dict(zip(joints, peaks.tolist(), strict=True)),
-            effort_limit_by_joint_nm=dict(zip(joints, self._limit.tolist(), strict=True)),
-            largest_share_of_effort_limit=share if share > 0 else None,
-            initial_error_rad=float(self._initial.max()),
-            max_error_after_2s_rad=worst,
-            rms_error_after_2s_rad=float(np.sqrt(np.mean(self._late.rms**2))),
-            settling_time_2_percent_s=self._settling.time(len(joints)),
-            saturated_fraction=self._saturated / self._commands if limited else None,
-            reference_mismatch_rad=self._run.reference_mismatch,
         )
+        largest = np.maximum(largest, size)
+        commanded, saturated = commanded & np.isfinite(u), saturated | at_limit
+    peaks, limits, late = (
+        np.array([getattr(each, name) for each in joints])
+        for name in ("peak_effort_nm", "effort_limit_nm", "peak_error_after_2s_rad")
+    )
+    share, share_at = _largest(peaks / limits, run.joints)
+    limited = commanded.any() and np.isfinite(limits).any()
+    return joints, Tracking(
+        peak_effort_nm=_largest(peaks, run.joints)[0],
+        peak_effort_joint=_largest(peaks, run.joints)[1],
+        largest_share_joint=share_at if share > 0 else None,
+        max_error_after_2s_joint=_largest(late, run.joints)[1],
+        peak_effort_by_joint_nm=dict(zip(run.joints, peaks.tolist(), strict=True)),
+        effort_limit_by_joint_nm=dict(zip(run.joints, limits.tolist(), strict=True)),
+        largest_share_of_effort_limit=share if share > 0 else None,
+        initial_error_rad=float(first.max()),
+        max_error_after_2s_rad=_largest(late, run.joints)[0],
+        rms_error_after_2s_rad=float(np.sqrt(np.mean([each.rms_error_after_2s_rad**2 for each in joints]))),
+        settling_time_2_percent_s=settling_time(t, largest, band),
+        saturated_fraction=_share(saturated, commanded) if limited else None,
+        reference_mismatch_rad=run.reference_mismatch,
+    )
 
-    def _largest(self, values: Array) -> tuple[float, str | None]:
-        """Return the largest of values (n,) and its joint; NaN and None if all are unknown."""
-        if np.isnan(values).all():
-            return math.nan, None
-        j = int(np.nanargmax(values))
-        return float(values[j]), self._run.joints[j]
+
+def settling_time(t: Array, values: Array, band: float) -> float | None:
+    """Return the first time [s] after the last one at which values (k,) exceed the band; None if never or unknown."""
+    outside = np.flatnonzero(values > band)
+    after = int(outside[-1]) + 1 if outside.size else 0
+    known = np.isfinite(band) and np.isfinite(values).any() and after < len(t)
+    return float(t[after]) if known else None
+
+
+def _peak_and_rms(values: Array) -> tuple[float, float]:
+    """Return the largest and the root mean square of the values that are known; NaN without any."""
+    known = values[~np.isnan(values)]
+    return (float(known.max()), float(np.sqrt(np.mean(known**2)))) if len(known) else (math.nan, math.nan)
+
+
+def _share(some: NDArray[np.bool_], among: NDArray[np.bool_]) -> float:
+    return float((some & among).sum() / among.sum()) if among.any() else math.nan
+
+
+def _largest(values: Array, joints: Sequence[str]) -> tuple[float, str | None]:
+    """Return the largest of values (n,) and its joint; NaN and None if all are unknown."""
+    if np.isnan(values).all():
+        return math.nan, None
+    j = int(np.nanargmax(values))
+    return float(values[j]), joints[j]
 
 
 @dataclass(frozen=True)
@@ -218,53 +177,27 @@ class Storage:
         return at_least(self.guaranteed_decay_rate_per_s, 3)
 
 
-class Decay:
-    """V of a run that comes in parts, against its bound."""
+def storage(t: Array, V: Array, beta: float, proven: bool) -> Storage | None:
+    """Return the metrics of V (k,) [J] at times t (k,) [s]; None if it is not known.
 
-    def __init__(self, beta: float, proven: bool) -> None:
-        """beta [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time; proven: whether it is."""
-        self.beta, self._proven = beta, proven
-        self.initial = float("nan")
-        self._started = False
-        self._rate: float | None = None
-        self._leaves: tuple[float, float] | None = None  # time and V / V(0) of the first state since V left the bound
-        self._ratio, self._pending = 1.0, 1.0  # largest ratio to the bound: before V left it, and since
-        self._floor: float | None = None
-
-    def add(self, part: RunData) -> None:
-        """Add the new states of a part."""
-        t, V = part.t[part.begin :], part.V[part.begin :]
-        if not self._started:
-            self._started, self.initial = True, float(V[0])
-        relative, ratio = V / (self.initial or 1.0), V / (self.initial * np.exp(-2.0 * self.beta * t))
-        low = np.flatnonzero(relative <= DECAYED)
-        if self._rate is None and low.size:
-            self._rate = float(-np.log(relative[low[0]]) / t[low[0]])
-        within = np.flatnonzero(ratio <= 1.0)  # V(0) itself is on the bound, unless it is 0
-        leaves = int(within[-1]) + 1 if within.size else 0
-        if within.size:
-            self._ratio = float(ratio[:leaves].max(initial=max(self._ratio, self._pending)))
-            self._leaves, self._pending = None, 1.0
-        self._pending = float(ratio[leaves:].max(initial=self._pending))
-        if self._leaves is None and leaves < len(t):
-            self._leaves = float(t[leaves]), float(relative[leaves])
-        steady = relative[t >= STEADY_AFTER]
-        if steady.size:
-            self._floor = float(steady.max(initial=self._floor or -np.inf))
-
-    def storage(self) -> Storage:
-        """Return the metrics."""
-        at, relative = self._leaves or (None, None)
-        return Storage(
-            initial=self.initial,
-            guaranteed_decay_rate_per_s=2.0 * self.beta,
-            guarantee_is_proven=self._proven,
-            measured_decay_rate_per_s=self._rate,
-            leaves_bound_at_s=at,
-            relative_where_it_leaves=relative,
-            largest_ratio_to_bound_before=self._ratio,
-            max_relative_after_2s=self._floor,
-        )
+    beta [1/s]: V(t) <= V(0) exp(-2 beta t) in continuous time; proven: whether it is.
+    """
+    if not np.isfinite(V[0]):
+        return None
+    relative, ratio = V / (V[0] or 1.0), V / (V[0] * np.exp(-2.0 * beta * t))
+    low, within = np.flatnonzero(relative <= DECAYED), np.flatnonzero(ratio <= 1.0)
+    leaves = int(within[-1]) + 1 if within.size else 0  # V(0) itself is on the bound, unless it is 0
+    steady = relative[t >= STEADY_AFTER]
+    return Storage(
+        initial=float(V[0]),
+        guaranteed_decay_rate_per_s=2.0 * beta,
+        guarantee_is_proven=proven,
+        measured_decay_rate_per_s=float(-np.log(relative[low[0]]) / t[low[0]]) if low.size else None,
+        leaves_bound_at_s=float(t[leaves]) if leaves < len(t) else None,
+        relative_where_it_leaves=float(relative[leaves]) if leaves < len(t) else None,
+        largest_ratio_to_bound_before=float(ratio[:leaves].max(initial=1.0)),
+        max_relative_after_2s=float(steady.max()) if steady.size else None,
+    )
 
 
 @dataclass(frozen=True)
@@ -278,38 +211,25 @@ class Energy:
     rms_residual_of_supplied: float  # RMS of the residual power, relative to that of the supplied power
 
 
-@dataclass(frozen=True)
-class Power:
-    """Mean powers (k,) over k steps between states [W]; t (k,) [s]: start of each step; NaN: unknown."""
+def steps(part: RunData, B_m: Array, beta: float) -> dict[str, Array]:
+    """Return the mean powers (k,) [W] in the step that ends at each new state of a part, NaN: unknown.
 
-    t: Array
-    supplied: Array
-    dissipated: Array
-    stored: Array  # dH/dt
-    dt: Array  # s, length of each step
-
-    @property
-    def residual(self) -> Array:
-        """Residual of the power balance [W]; 0 if the plant is the model."""
-        return self.stored - self.supplied + self.dissipated
-
-
-def power(part: RunData, B_m: Array) -> Power:
-    """Return the power balance of the steps that end in a part, with the measured motor torque where available.
-
-    B_m (n, n): input matrix of the motors.
+    supplied, dissipated, stored, residual: of the power balance, with the measured motor torque where available.
+    measured, predicted, least: -dV/dt, that of the model for the effort sent, and 2 beta V. B_m (n, n): input matrix.
     """
-    n, dt, H = part.u.shape[1], np.diff(part.t), part.certificate.H
+    n, dt, V = part.u.shape[1], np.diff(part.t), part.V
     displacement, dissipated = np.diff(part.position[:, n:], axis=0), part.certificate.dissipated
-    steps = slice(max(0, part.begin - 1), None)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return Power(
-            t=part.t[:-1][steps],
-            supplied=((_torque(part, B_m) * displacement).sum(axis=1) / dt)[steps],
-            dissipated=((dissipated[:-1] + dissipated[1:]) / 2)[steps],
-            stored=(np.diff(H) / dt)[steps],
-            dt=dt[steps],
-        )
+        found = {
+            "supplied": (_torque(part, B_m) * displacement).sum(axis=1) / dt,
+            "dissipated": (dissipated[:-1] + dissipated[1:]) / 2,
+            "stored": np.diff(part.certificate.H) / dt,
+            "measured": -np.diff(V) / dt,
+            "predicted": -part.certificate.held_rate(part.u),
+            "least": beta * (V[:-1] + V[1:]),
+        }
+    found["residual"] = found["stored"] - found["supplied"] + found["dissipated"]
+    return {name: np.append(np.nan, values)[part.begin :] for name, values in found.items()}
 
 
 def _torque(part: RunData, B_m: Array) -> Array:
@@ -321,23 +241,11 @@ def _torque(part: RunData, B_m: Array) -> Array:
     return np.asarray(late * after[:-1] + (1.0 - late) * after[1:])
 
 
-class Balance:
-    """Energies of a run that comes in parts."""
-
-    def __init__(self) -> None:
-        self.joules = np.zeros(4)  # supplied, dissipated, stored, residual
-        self._squares = np.zeros(2)  # of residual and supplied power
-
-    def add(self, flow: Power) -> None:
-        """Add the powers of more steps."""
-        residual = flow.residual
-        powers = (flow.supplied, flow.dissipated, flow.stored, residual)
-        self.joules += [float(np.nansum(each * flow.dt)) for each in powers]
-        known = np.isfinite(residual)
-        self._squares += (residual[known] ** 2).sum(), (flow.supplied[known] ** 2).sum()
-
-    def energy(self) -> Energy:
-        """Return the energies."""
-        left, supplied = np.sqrt(self._squares)
-        relative = float(left / supplied) if supplied else float("nan")
-        return Energy(*map(float, self.joules), rms_residual_of_supplied=relative)  # type: ignore[misc]
+def energy(columns: Columns) -> Energy:
+    """Return the energies of a run; columns: t and the powers of `steps` of all states."""
+    dt = np.diff(columns.column("t"), prepend=np.nan)
+    powers = {name: columns.column(name) for name in ("supplied", "dissipated", "stored", "residual")}
+    known = np.isfinite(powers["residual"])
+    left, supplied = (float(np.sqrt((powers[name][known] ** 2).sum())) for name in ("residual", "supplied"))
+    joules = {f"{name}_j": float(np.nansum(each * dt)) for name, each in powers.items()}
+    return Energy(**joules, rms_residual_of_supplied=left / supplied if supplied else math.nan)

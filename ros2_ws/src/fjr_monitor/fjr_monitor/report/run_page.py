@@ -140,9 +140,9 @@ class RunPlots:
 
     def storage(self) -> Plot:
         """Plot V and its bound V(0) exp(-2 beta t) on a log axis; the caption explains why V leaves the bound."""
-        found, decay = self._report.storage, self._data.metrics.decay
+        found, initial = self._report.storage, self._data.states["V"][0]
         relative = drawable(self._data.relative_storage, log=True)
-        bound = decay.initial * np.exp(-2.0 * decay.beta * self._t) / (decay.initial or 1.0)
+        bound = initial * np.exp(-2.0 * self._data.metrics.beta * self._t) / (initial or 1.0)
         floor = float(np.nanmin(relative, initial=1e-3)) / 30.0
         bound = np.where(bound > floor, bound, np.nan)
         lines = [Line("V / V(0)", relative, "c1", 1.5), Line("bound exp(−2βt)", bound, "grey", 1.5, (6, 4))]
@@ -176,10 +176,8 @@ class RunPlots:
             "the bound. Gaps: V grows because u is held."
         )
         title = "The rate of V"
-        if 0 < data.size < np.inf:
-            title = (
-                f"Prediction and measurement of the rate of V differ by {number(100 * data.apart / data.size, '%', 2)}"
-            )
+        if np.isfinite(data.rate_error):
+            title = f"Prediction and measurement of the rate of V differ by {number(100 * data.rate_error, '%', 2)}"
         return Plot("rate", title, caption, data.steps["t"], lines, y_label="−dV/dt [W]", y_log=True)
 
     def balance(self) -> Plot:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,9 @@ from numpy.typing import NDArray
 
 from fjr_core.config.robot import description, locked_positions
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.run import RunData
+from fjr_monitor.recording.columns import Columns
 from fjr_monitor.report.html import ArmReplay, extremes
 from fjr_monitor.report.metrics import Metrics, Report
-from fjr_monitor.report.performance import Power
 from fjr_monitor.scene import scene
 from fjr_msgs_py.console.output import number
 
@@ -27,94 +27,47 @@ FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 FRAMES = 900  # of the motion of an arm; the page interpolates between them
 
 
-class Columns:
-    """Columns of numbers, decimated: no value of a column is above or below those that are kept of its bucket.
-
-    kept: parts of each column, by its name.
-    """
-
-    def __init__(self, rows: int) -> None:
-        """rows: how many will come."""
-        self._width = 1 if rows <= EVERY else -(-rows // BUCKETS)
-        self.kept: dict[str, list[Array]] = {}
-
-    def add(self, **columns: Array) -> None:
-        """Add rows of columns (k,) or of several columns (k, m)."""
-        k = len(next(iter(columns.values())))
-        rows: NDArray[np.intp] = np.arange(k)
-        if self._width > 1 and k:
-            each = [column for values in columns.values() for column in values.reshape(k, -1).T]
-            rows = extremes(np.array(each), -(-k // self._width))
-        for name, values in columns.items():
-            self.kept.setdefault(name, []).append(values[rows])
-
-    def __getitem__(self, name: str) -> Array:
-        """Return the rows of a column that are kept."""
-        self.kept[name] = [np.concatenate(self.kept[name])]
-        return self.kept[name][0]
-
-
 class Shown:
-    """Signals of a run. states: t, q_l, q_ld, error, u, external_torque, V, H, since, latency; steps: rates of V,
-    powers and energies.
+    """Signals of a run, decimated: no value of a column of its metrics is above or below those that are kept nearby.
 
-    since: send time of a state since that of the one before. frames: t, q_l, q_m, q_ld at FRAMES instants. deflection
-    (n,): largest |q_m - q_l|, NaN: unknown. apart, size: sums of the error of the predicted rate of V and of the rate.
+    states: the columns and largest_error, largest_effort. steps: t, at which each step begins, rates of V, powers and
+    energies. frames: the columns at FRAMES instants. deflection (n,): largest |q_m - q_l|, NaN: unknown.
+    rate_error: error of the predicted rate of V relative to the rate, NaN: unknown.
     """
 
     def __init__(self, metrics: Metrics) -> None:
         self.metrics, self.run = metrics, metrics.run
-        k, n = self.run.states, len(self.run.joints)
-        self.states, self.steps, self.frames = Columns(k), Columns(k), Columns(0)
-        self._frames: NDArray[np.int64] = np.unique(np.asarray(np.linspace(0, k - 1, FRAMES), dtype=np.int64))
-        self.deflection = np.full(n, np.nan)
-        self.apart = self.size = 0.0
-        self._count, self._joules = 0, np.zeros(4)
-
-    def add(self, part: RunData, flow: Power) -> None:
-        """Add the new states of a part, and the powers of the steps that end there."""
-        begin, n, certificate = part.begin, len(self.run.joints), part.certificate
-        new, q_m = slice(begin, None), part.position[:, n:]
-        since = np.diff(part.sent, prepend=np.nan)
-        self.states.add(
-            t=part.t[new],
-            q_l=part.q_l[new],
-            q_ld=part.q_ld[new],
-            error=part.error[new],
-            largest_error=np.abs(part.error[new]).max(axis=1),
-            u=part.u[new],
-            external_torque=part.external_torque[new],
-            largest_effort=np.fmax.reduce(np.abs(part.u[new]), axis=1),
-            V=part.V[new],
-            H=certificate.H[new],
-            since=since[new],
-            latency=part.latency[new],
-        )
-        self._add_steps(part, flow)
-        rows = self._frames[(self._frames >= self._count) & (self._frames < self._count + len(part.t) - begin)]
-        rows = np.asarray(rows - self._count + begin)
-        self.frames.add(t=part.t[rows], q_l=part.q_l[rows], q_m=q_m[rows], q_ld=part.q_ld[rows])
-        self.deflection = np.fmax(self.deflection, np.fmax.reduce(np.abs(q_m - part.q_l), axis=0))
-        self._count += len(part.t) - begin
-
-    def _add_steps(self, part: RunData, flow: Power) -> None:
-        """Add the steps that end in a part."""
-        steps, V = slice(max(0, part.begin - 1), None), part.V
-        measured = (-np.diff(V) / np.diff(part.t))[steps]
-        predicted = -part.certificate.held_rate(part.u)[steps]
-        known = np.isfinite(predicted) & np.isfinite(measured)
-        self.size += float(np.abs(measured[known]).sum())
-        self.apart += float(np.abs(predicted - measured)[known].sum())
-        watts = np.column_stack([flow.supplied, flow.dissipated, flow.stored, flow.residual])
-        joules = self._joules + np.nancumsum(watts * flow.dt[:, None], axis=0)
-        self._joules = joules[-1] if len(joules) else self._joules
-        least = (self.metrics.decay.beta * (V[:-1] + V[1:]))[steps]
-        self.steps.add(t=flow.t, measured=measured, predicted=predicted, least=least, watts=watts, joules=joules)
+        columns, joints = metrics.columns, range(len(self.run.joints))
+        rows = kept_rows(columns)
+        self.states = columns.at(rows)
+        self.states["largest_error"] = np.abs(self.states["error"]).max(axis=1)
+        self.states["largest_effort"] = np.fmax.reduce(np.abs(self.states["u"]), axis=1)
+        self.frames = columns.at(np.unique(np.linspace(0, len(columns) - 1, FRAMES).astype(int)))
+        bent = (np.abs(columns.column("q_m", j) - columns.column("q_l", j)) for j in joints)
+        self.deflection = np.array([np.fmax.reduce(each) for each in bent])
+        t = columns.column("t")
+        dt, ends = np.diff(t, prepend=np.nan), rows[rows > 0]
+        self.steps = {name: values[rows > 0] for name, values in self.states.items()} | {"t": t[ends - 1]}
+        powers = ("supplied", "dissipated", "stored", "residual")
+        self.steps["watts"] = np.column_stack([self.steps[name] for name in powers])
+        self.steps["joules"] = np.column_stack([np.nancumsum(columns.column(name) * dt)[ends] for name in powers])
+        measured, predicted = columns.column("measured"), columns.column("predicted")
+        known = np.isfinite(measured + predicted)
+        size = float(np.abs(measured[known]).sum())
+        self.rate_error = float(np.abs(predicted - measured)[known].sum()) / size if size else math.nan
 
     @property
     def relative_storage(self) -> Array:
         """V / V(0); V itself where the run starts without error."""
-        return self.states["V"] / (self.metrics.decay.initial or 1.0)
+        V = self.states["V"]
+        return V / (V[0] or 1.0)
+
+
+def kept_rows(columns: Columns) -> NDArray[np.intp]:
+    """Return all rows of a run up to EVERY states, else those with the extremes of each column in each of BUCKETS."""
+    if len(columns) <= EVERY:
+        return np.arange(len(columns))
+    return np.unique(np.concatenate([extremes(column[None], BUCKETS) for column in columns]))
 
 
 @dataclass(frozen=True)

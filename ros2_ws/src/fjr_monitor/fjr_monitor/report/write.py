@@ -23,6 +23,7 @@ from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import FjrError, RecordError
 from fjr_core.files import importing
 from fjr_core.files.text_file import read_json, whole_file
+from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.bag import Bag, bag_folder, read_bag
 from fjr_monitor.recording.files import files_of
 from fjr_monitor.recording.run import Recording
@@ -40,6 +41,10 @@ from fjr_msgs_py.scenarios import library
 SCENARIO, COMPARISON = "scenario.yaml", "comparison.html"
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOTDIR)
 CSV, PARQUET = TABLES = ".csv", ".parquet"
+OF_ALL = {"t": "s", "V": "J", "H": "J", "latency": "s"}
+OF_JOINTS = dict.fromkeys(("q_l", "q_m"), "position") | dict.fromkeys(("dq_l", "dq_m"), "velocity")
+OF_JOINTS |= {"q_ld": "position", "dq_ld": "velocity", "u": "effort", "external_torque": "effort"}
+"""Columns of the time series with their units, and those of each joint with the quantity."""
 LARGE = 50e6  # bytes: reading a larger bag is announced
 KNOWN: dict[str, Any] = {
     "scenario": str,
@@ -91,9 +96,8 @@ def report_bag(
     """
     with without_warnings():
         run = Recording(bag, scenario, duration or np.inf)
-        metrics = Metrics(run)
+        metrics = Metrics(run, pages)
         data = Shown(metrics)
-        metrics.read(*([data.add] if pages else []))
         length = duration or run.seconds + run.sample_period
         report = metrics.report(name, length, planned_s=duration, **known)
 
@@ -113,22 +117,34 @@ def compare(summaries: Sequence[RunSummary], folder: Path, claim: Claim | None =
     return written / COMPARISON
 
 
-def write_table(run: Recording, file: Path) -> None:
+def write_table(metrics: Metrics, file: Path) -> None:
     """Write the time series of a run, with a row for each state; raises MissingPackageError without pyarrow."""
+    blocks = time_series(metrics)
     file.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(file) as scratch, without_warnings():
         if file.suffix == CSV:
             with scratch.open("w", encoding="utf-8", newline="") as stream:
                 writer = csv.writer(stream, lineterminator="\n")
-                for number, columns in enumerate(run.time_series()):
+                for number, columns in enumerate(blocks):
                     writer.writerows([] if number else [columns])
                     writer.writerows(np.column_stack(list(columns.values())).tolist())
             return
-        tables = map(importing.module("pyarrow").table, run.time_series())
+        tables = map(importing.module("pyarrow").table, blocks)
         first = next(tables)
         with importing.module("pyarrow.parquet").ParquetWriter(scratch, first.schema, compression="zstd") as writer:
             for each in chain([first], tables):
                 writer.write_table(each)
+
+
+def time_series(metrics: Metrics) -> Iterator[dict[str, Array]]:
+    """Yield the columns (k,) of a table of a run, block by block, by name, joint and unit: `q_l.joint1 [rad]`."""
+    run = metrics.run
+    for block in metrics.columns.blocks():
+        columns = {f"{name} [{unit}]": block[name] for name, unit in OF_ALL.items()}
+        for name, quantity in OF_JOINTS.items():
+            for joint, units, column in zip(run.joints, run.units, block[name].T, strict=True):
+                columns[f"{name}.{joint} [{getattr(units, quantity)}]"] = column
+        yield columns
 
 
 def write_with_fallback(folder: Path, write: Callable[[Path], object]) -> Path:
@@ -260,7 +276,7 @@ def report(
     if film is not None:
         importing.module("fjr_engines.film").film(summaries[0].data, film)
     if series is not None:
-        write_table(summaries[0].data.run, series)
+        write_table(summaries[0].data.metrics, series)
     names = [each.label for each in summaries]  # or the folder if two runs have the same scenario
     summaries = [replace(each, label=str(each.folder)) if names.count(each.label) > 1 else each for each in summaries]
     missing = [f"{each.label}: {note}" for each in summaries for note in each.report.missing]
