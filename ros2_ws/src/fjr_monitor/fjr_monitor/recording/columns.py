@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fjr_core.errors import FjrError
 from fjr_core.numerics.checks import Array
 
-IN_MEMORY = 2**26  # bytes of a table; a larger one goes to a file
+IN_MEMORY = 2**24  # bytes of a table; a larger one goes to a file
 BYTES = 8  # of a number
 
 

@@ -119,7 +119,8 @@ class RunSignals:
         self._commands = next((topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)), None)
         kept = [STATES, *filter(None, [self._commands]), *filter(bag.holds, [REFERENCE])]
         self._numbers = {topic: Columns() for topic in kept}
-        self._choose(bag, self._times(bag, scenario.joints), duration)
+        self._read(bag, scenario.joints)
+        self._choose(bag, duration)
 
     def states(self, rows: slice) -> tuple[Array, Array, Array]:
         """Return positions, velocities (m, 2n) [rad, rad/s] and measured motor torques (m, n) [N m] of states."""
@@ -145,33 +146,47 @@ class RunSignals:
         """Return whether the reference was recorded."""
         return REFERENCE in self._numbers
 
-    def _times(self, bag: Bag, joints: tuple[str, ...]) -> dict[str, tuple[Times, Times]]:
-        """Read the messages, with counters and events; return stamps and send times [ns] of each topic."""
-        found: dict[str, list[tuple[Times, Times]]] = {topic: [] for topic in self._numbers}
+    @property
+    def periods(self) -> Times:
+        """Return the times (k - 1,) [ns] from state to state, by the middleware's stamps at sending."""
+        return np.diff(self.sent)
+
+    @property
+    def latencies(self) -> Times:
+        """Return the times [ns] from states to their commands, where there is one."""
+        return (self.answered - self.sent)[self.answered >= 0]
+
+    def _read(self, bag: Bag, joints: tuple[str, ...]) -> None:
+        """Read the messages, with counters and events; times [ns] are kept among the numbers, as bytes."""
         named = dict.fromkeys(self._numbers, joints) | {STATES: names.state_names(joints)}
         beside = filter(bag.holds, (DIAGNOSTICS, EVENTS))
         for batch in bag.batches((*self._numbers, *beside), STATES, TOGETHER):
             for topic, numbers in self._numbers.items():
                 table = bag.table(batch[topic], named[topic])
                 table = self.reader.complete(table) if topic == STATES else table
-                numbers.add(position=table.position, velocity=table.velocity, effort=table.effort)
-                found[topic].append((table.stamp, table.publish_time))
+                times = {"stamp": table.stamp.view(float), "sent": table.publish_time.view(float)}
+                numbers.add(position=table.position, velocity=table.velocity, effort=table.effort, **times)
             for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
                 for status in message.status:
                     self.counters[status.name] = {pair.key: pair.value for pair in status.values}
             if EVENTS in batch:
                 self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
-        return {topic: tuple(map(np.concatenate, zip(*each, strict=True))) for topic, each in found.items()}  # type: ignore[misc]
 
-    def _choose(self, bag: Bag, times: dict[str, tuple[Times, Times]], duration: float) -> None:
+    def _times(self, topic: str) -> tuple[Times, Times]:
+        """Return stamps and send times [ns] of the messages of a topic."""
+        if topic not in self._numbers:
+            return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return self._numbers[topic].column("stamp").view(np.int64), self._numbers[topic].column("sent").view(np.int64)
+
+    def _choose(self, bag: Bag, duration: float) -> None:
         """Find the rows of the run."""
-        stamp, sent = times[STATES]
+        stamp, sent = self._times(STATES)
         if not len(stamp):
             raise BagError(f"{bag.path} holds no complete state on {STATES}")
         starts = np.flatnonzero(np.diff(stamp) < -JUMP * 1e9) + 1
         begin, end = max(pairwise([0, *starts.tolist(), len(stamp)]), key=lambda ends: ends[1] - ends[0])
         stamp, sent = stamp[begin:end], sent[begin:end]
-        answers, answered = self._answers_of(times, stamp, sent)
+        answers, answered = self._answers_of(stamp, sent)
         first = 0
         if (answers >= 0).any():
             row = int(np.argmax(answers >= 0))
@@ -184,18 +199,18 @@ class RunSignals:
             rows = rows[: 1 + int(np.flatnonzero(answers[rows] >= 0)[-1])]
         self.stamp, self.sent, self.answered = stamp[rows], sent[rows], answered[rows]
         self._rows, self._answers = (begin + rows).astype(np.int32), answers[rows]
-        self._references = _of_stamps(times.get(REFERENCE), self.stamp, sent)[0]
+        self._references = _of_stamps(self._times(REFERENCE), self.stamp, sent)[0]
         self.notes = self._notes(bag, len(starts), float(last - self.stamp[-1]) * 1e-9)
 
-    def _answers_of(self, times: dict[str, tuple[Times, Times]], stamp: Times, sent: Times) -> tuple[Places, Times]:
+    def _answers_of(self, stamp: Times, sent: Times) -> tuple[Places, Times]:
         """Return the command of each state of a section, and its send time [ns]; -1: none.
 
         Commands are matched by stamp where they carry one; else each state has the first one sent after it and before
         the next state.
         """
         if self._commands != EFFORTS:
-            return _of_stamps(times.get(ANSWERS), stamp, sent)
-        _, when = times[EFFORTS]
+            return _of_stamps(self._times(ANSWERS), stamp, sent)
+        _, when = self._times(EFFORTS)
         place = np.searchsorted(when, sent)
         time = np.append(when, END)[place]
         found = (time < np.append(sent[1:], END)) & (time <= sent[-1] + AFTERWARDS)
@@ -226,14 +241,13 @@ class RunSignals:
         return tuple(note for note in said if note)
 
 
-def _of_stamps(times: tuple[Times, Times] | None, stamp: Times, sent: Times) -> tuple[Places, Times]:
+def _of_stamps(times: tuple[Times, Times], stamp: Times, sent: Times) -> tuple[Places, Times]:
     """Return the first message with each stamp, and its send time [ns]; -1: none.
 
-    times: stamps and send times of the messages, None: no such topic. sent: send times of the states of the section,
-    among which the message was sent.
+    times: stamps and send times of the messages. sent: send times of the states of the section, among which the message
+    was sent.
     """
-    nothing = np.full(len(stamp), -1)
-    stamps, when = times or (nothing, nothing)
+    nothing, (stamps, when) = np.full(len(stamp), -1), times
     inside = np.flatnonzero((when >= sent[0]) & (when <= sent[-1] + AFTERWARDS))
     if not len(inside):
         return nothing.astype(np.int32), nothing

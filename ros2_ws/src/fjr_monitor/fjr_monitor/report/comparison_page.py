@@ -132,8 +132,8 @@ def side_by_side_plots(runs: Sequence[RunSummary]) -> list[Plot]:
     """Return the plots that are not empty, in the order of the page."""
     errors = [run.data.states["largest_error"] for run in runs]
     efforts = [run.data.states["largest_effort"] for run in runs]
-    latencies = [run.data.metrics.clock.latencies for run in runs]
-    periods = [run.data.metrics.clock.periods for run in runs]
+    latencies = [run.data.run.signals.latencies for run in runs]
+    periods = [run.data.run.signals.periods for run in runs]
     largest = "The largest {} of all joints at each state; log axis."
     error, effort = (f"{symbol} [{_units(runs, what)}]" for symbol, what in (("error", "position"), ("|u|", "effort")))
     drawn = [

@@ -26,16 +26,19 @@ from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import EXTERNAL, SAMPLING, Diagnosis, unknown
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.run import ControllerStop, Recording
-from fjr_monitor.recording.timing import Clock, Counts, Timing
 from fjr_monitor.report.contact import Contact, contact
 from fjr_monitor.report.performance import (
+    Counts,
     Energy,
     JointMetrics,
     Storage,
+    Timing,
     Tracking,
+    counts,
     energy,
     steps,
     storage,
+    timing,
     tracked,
 )
 from fjr_msgs_py.console.output import finite, number, percent
@@ -167,7 +170,7 @@ class Metrics:
     """What is known of a run once its parts were read twice: first what the second reading depends on.
 
     columns: signals and powers of all states, as a table names them; external_torque only if it is `shown`. beta [1/s],
-    proven: rate of V. clock: timing.
+    proven: rate of V.
     """
 
     def __init__(self, run: Recording, shown: bool = True) -> None:
@@ -182,8 +185,6 @@ class Metrics:
             rate = first.visited.rate(law)
             self._diagnosis = SecondPass(first, rate.beta)
         self.beta, self.proven = rate.beta, rate.proven and run.scenario.plant_is_the_model
-        signals = run.signals
-        self.clock = Clock(signals.stamp, signals.sent, signals.answered, run.sample_period, run.lockstep)
         for part in run.parts():
             new = {
                 "t": part.t,
@@ -228,7 +229,6 @@ class Metrics:
         stop, touched = run.stop, contact(run, law, touching) if touching and law else None
         if stop and touched and touched.begins_s <= stop.at_s <= touched.ends_s + AFTER_CONTACT:
             stop = replace(stop, reason=f"{stop.reason}; {touched.sentence}")
-        lost = {topic: each.lost for topic, each in sorted(run.bag.topics.items())}
         t, V = self.columns.column("t"), self.columns.column("V")
         joints, tracking = tracked(run, self.columns)
         versions: dict[str, str] = {}
@@ -250,8 +250,8 @@ class Metrics:
             joints=joints,
             storage=storage(t, V, self.beta, self.proven),
             energy=energy(self.columns) if self.energy_known else None,
-            timing=self.clock.timing(),
-            counts=self.clock.counts(duration, lost),
+            timing=timing(run.signals),
+            counts=counts(run, duration),
             diagnostics=run.signals.counters,
             versions=versions,
             guesses=run.scenario.robot_warnings,

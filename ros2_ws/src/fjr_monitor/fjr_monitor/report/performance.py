@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Performance of a run: tracking error and effort, V against its bound, the power balance.
+"""Performance of a run: tracking error and effort, V against its bound, the power balance, timing.
 
 The power balance is that of eq. (36): dH/dt = dq_m' B_m u - dq_l' D_l dq_l - dq_m' D_m dq_m. An effort that is held
 over a sample does the work effort times motor displacement exactly; only the dissipation needs quadrature (trapezoidal
@@ -19,6 +19,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.run import Recording, RunData
+from fjr_monitor.recording.signals import END, RunSignals
 
 STEADY_AFTER = 2.0  # s; metrics "after 2 s" exclude the transient
 SETTLED = 0.02  # of the initial error
@@ -249,3 +250,69 @@ def energy(columns: Columns) -> Energy:
     left, supplied = (float(np.sqrt((powers[name][known] ** 2).sum())) for name in ("residual", "supplied"))
     joules = {f"{name}_j": float(np.nansum(each * dt)) for name, each in powers.items()}
     return Energy(**joules, rms_residual_of_supplied=left / supplied if supplied else math.nan)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Statistics of the middleware's send times: period of the states, latency from state to command."""
+
+    period_p50_us: float
+    period_p99_us: float
+    period_max_us: float
+    latency_p50_us: float
+    latency_p99_us: float
+    latency_max_us: float
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Sample counts: nominal = published + missing; published = answered + unanswered."""
+
+    nominal: int  # duration times rate; one more if the first state was late, so that one more fits
+    published: int  # states recorded
+    missing: int  # nominal - published (negative: more states than nominal)
+    gaps: int  # steps between stamps longer than 1.5 sample periods
+    longest_gap_s: float
+    answered: int | None  # states with a recorded command; this and the next three null: no command was recorded
+    answered_in_time: int | None  # command sent before the next state
+    late: int | None  # command sent after the next state
+    unanswered: int | None
+    published_fraction: float  # of nominal
+    answered_in_time_fraction: float | None  # of published
+    lost_by_recorder: dict[str, int | None]  # topic -> gaps in the sequence numbers; null: several publishers
+
+
+def timing(signals: RunSignals) -> Timing:
+    """Return the timing of a run."""
+    shares = (0.5, 0.99, 1.0)
+    spreads = [
+        np.quantile(each, shares) if len(each) else [np.nan] * 3 for each in (signals.periods, signals.latencies)
+    ]
+    return Timing(*(float(value) * 1e-3 for spread in spreads for value in spread))
+
+
+def counts(run: Recording, duration: float) -> Counts:
+    """Return the sample counts of a run of `duration` [s].
+
+    A command is in time if it is sent before the next state; that of the last state, before the next one is due.
+    """
+    signals, period, states = run.signals, run.sample_period, len(run.signals.stamp)
+    due = END if run.lockstep else signals.sent[-1] + round(period * 1e9)
+    known, steps = signals.answered >= 0, np.diff(signals.stamp) * 1e-9
+    answered, in_time = int(known.sum()), int((known & (signals.answered < np.append(signals.sent[1:], due))).sum())
+    nominal = round(duration / period)
+    nominal += states == nominal + 1  # times count from the first state: if that was late, the last is not
+    return Counts(
+        nominal=nominal,
+        published=states,
+        missing=nominal - states,
+        gaps=int((steps > 1.5 * period).sum()),
+        longest_gap_s=float(steps.max(initial=0.0)),
+        answered=answered if answered else None,
+        answered_in_time=in_time if answered else None,
+        late=answered - in_time if answered else None,
+        unanswered=states - answered if answered else None,
+        published_fraction=states / nominal,
+        answered_in_time_fraction=in_time / states if answered else None,
+        lost_by_recorder={topic: each.lost for topic, each in sorted(run.bag.topics.items())},
+    )

@@ -207,14 +207,14 @@ class RunPlots:
         timing, counts = self._report.timing, self._report.counts
         title = f"{counts.published} of {counts.nominal} states published"
         found = timing.period_p50_us, timing.period_p99_us, timing.period_max_us
-        return histogram("period", title, found, self._data.metrics.clock.periods, "time between states [ms]", "c1")
+        return histogram("period", title, found, self._data.run.signals.periods, "time between states [ms]", "c1")
 
     def latency(self) -> Plot:
         """Plot the distribution of the time from state to command."""
         timing, in_time = self._report.timing, self._report.counts.answered_in_time_fraction
         title = f"{percent(in_time)} answered before the next state"
         found = timing.latency_p50_us, timing.latency_p99_us, timing.latency_max_us
-        return histogram("latency", title, found, self._data.metrics.clock.latencies, "state to command [ms]", "c3")
+        return histogram("latency", title, found, self._data.run.signals.latencies, "state to command [ms]", "c3")
 
     def timeline(self) -> Plot:
         """Plot the time between states and from state to command over the run."""

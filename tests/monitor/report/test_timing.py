@@ -3,10 +3,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from fjr_monitor.recording.timing import Clock, Counts
+from fjr_monitor.recording.bag import Bag
+from fjr_monitor.recording.files import Topic
+from fjr_monitor.report.performance import Counts, counts
 
 PERIOD = 1e-3
 
@@ -17,7 +22,10 @@ def counted(stamps: list[float], answers: list[float], lost: int, duration: floa
     An answer of -1 stands for none.
     """
     t, answered = (np.array([round(1e6 * each) if each >= 0 else -1 for each in given]) for given in (stamps, answers))
-    return Clock(t, t, answered, PERIOD, lockstep=False).counts(duration, {"/joint_states": lost})
+    bag, signals = Bag(Path(), {"/joint_states": Topic("", "", "", lost=lost)}, True), SimpleNamespace(stamp=t, sent=t)
+    signals.answered = answered
+    run = SimpleNamespace(signals=signals, sample_period=PERIOD, lockstep=False, bag=bag)
+    return counts(run, duration)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("late", [0.0, 0.3, 0.7, 0.99])
