@@ -27,6 +27,7 @@ from fjr_core.runtime.library import constant
 from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_monitor.diagnosis.record import LEAD, PART, Record, held_efforts
 from fjr_monitor.recording.bag import Bag
+from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import Times
 from fjr_monitor.recording.signals import REFERENCE, RunSignals
 from fjr_msgs_py.node.reports import STAMP
@@ -41,15 +42,13 @@ DEGREE = 5  # of the spline through the recorded velocities: its third derivativ
 
 @dataclass(frozen=True, kw_only=True)
 class RunData(Record):
-    """Part of a run: a record, certificate, external torque. Times in s since the first state; NaN: not known."""
+    """Part of a run: a record with its certificate. Times in s since the first state; NaN: not known."""
 
-    SHARED: ClassVar[tuple[str, ...]] = (*Record.SHARED, "certify", "observe")
+    SHARED: ClassVar[tuple[str, ...]] = (*Record.SHARED, "certify")
 
     sent: Array  # (k,) s, send time of each state since that of the first
     answered: Array  # (k,) s, send time of its command, NaN: none
     certify: Callable[[RunData], CertificateSeries]
-    observe: Callable[[RunData], Array]
-    measured: Array  # (k, 2n) rad, positions as measured; NaN while velocities of an observer settle
     torque: Array  # (k, n) N m, measured at the motors
 
     @cached_property
@@ -57,25 +56,10 @@ class RunData(Record):
         """Certificate along the states, computed on use; V, dV NaN for another law than v-dPBC."""
         return self.certify(self)
 
-    @cached_property
-    def external_torque(self) -> Array:
-        """Estimated external torques on the links (k, n) [N m], computed on use, part by part."""
-        return self.observe(self)
-
     @property
     def q_l(self) -> Array:
         """Link positions (k, n) [rad]."""
         return self.position[:, : self.u.shape[1]]
-
-    @property
-    def q_ld(self) -> Array:
-        """Reference (k, n) [rad]."""
-        return np.asarray(self.jets[:, 0])
-
-    @property
-    def error(self) -> Array:
-        """q_l - q_ld (k, n) [rad]."""
-        return self.q_l - self.q_ld
 
     @property
     def V(self) -> Array:
@@ -91,19 +75,20 @@ class RunData(Record):
 class Recording:
     """A run in a bag, from the first state with a command on; raises BagError.
 
-    duration [s] of stamped time; infinite: up to the last state that has a command. signals: of the run. states: their
-    number. step [s]: median time between two. sample_period [s]. effort_limit (n,) [N m]. velocities_measured: else an
-    observer estimates them. stop: first stop of the controller, None: it never stopped. notes: one sentence for each
-    missing or substituted signal; those on reference and velocities, and reference_mismatch [rad], are known once the
-    parts were read. size: states of a part.
+    duration [s] of stamped time; infinite: up to the last state that has a command. signals: of the run. columns: t,
+    q_l, q_m, dq_l, dq_m, q_ld, dq_ld, the `higher` derivatives, error, u, the effort `held`, measured torque of the
+    motors, external_torque, and times `since` the state before and to the command (latency) [s] by the send times.
+    states: their number. step [s]: median time between two. sample_period [s]. effort_limit (n,) [N m].
+    velocities_measured: else an observer estimates them. reference_mismatch [rad]: recorded minus planned. stop: first
+    stop of the controller, None: it never stopped. notes: one sentence for each missing or substituted signal. size:
+    states of a part.
     """
 
     def __init__(self, bag: Bag, scenario: Scenario, duration: float = np.inf, size: int = PART) -> None:
-        self.bag, self.scenario, self._size = bag, scenario, size
+        self.bag, self.scenario, self._size, self.columns = bag, scenario, size, Columns()
         self.joints, self.units = scenario.joints, scenario.robot.units
         self.lockstep = bool(scenario.plant_values["lockstep"])
         self.effort_limit = effort_limits(scenario.controller_values, scenario.robot)
-        self.reference_mismatch = float("nan")
         self.signals = signals = RunSignals(bag, scenario, duration)
         self.stop, self.states = first_stop(signals), len(signals.stamp)
         self.velocities_measured = not signals.reader.estimated
@@ -113,8 +98,50 @@ class Recording:
         other = seen > 0 and abs(seen - nominal) > OTHER_RATE * nominal
         self.step, self.sample_period = seen or nominal, (seen if other else nominal)
         rate = f"the scenario's robot sends them every {nominal * 1e3:g} ms"
-        self._rate_note = (f"states came every {seen * 1e3:.4g} ms; {rate}",) if other else ()
-        self.notes = (*signals.notes, *self._rate_note)
+        rate_note = (f"states came every {seen * 1e3:.4g} ms; {rate}",) if other else ()
+        self.notes = (*signals.notes, *self._read(signals), *rate_note)
+
+    def _read(self, signals: RunSignals) -> tuple[str, ...]:
+        """Write the columns, part by part; return the notes on velocities and reference."""
+        scenario, n, reference = self.scenario, len(self.joints), RecordedReference(self.scenario)
+        estimate = None if self.velocities_measured else EstimatedStates(scenario)
+        torques = ExternalTorques(scenario)
+        since, before = np.append(np.nan, signals.periods * 1e-9), None
+        for start in range(0, self.states, self._size):
+            end = start + self._size
+            rows, around = slice(start, end), slice(max(0, start - AROUND), end + AROUND)
+            within = slice(start - around.start, end - around.start)
+            t = (signals.stamp[around] - signals.stamp[0]) * 1e-9
+            jets, t = reference.jets(t, *signals.reference(around))[within], t[within]
+            position, velocity, torque = signals.states(rows)
+            u, measured = signals.efforts(rows), position
+            if estimate is not None:
+                position, velocity, settled = estimate.of(signals.stamp[rows], position, u)
+                measured = np.where(settled[:, None], measured, np.nan)
+            held = held_efforts(u, before)
+            before, latency = held[-1], (signals.answered[rows] - signals.sent[rows]) * 1e-9
+            self.columns.add(
+                t=t,
+                q_l=position[:, :n],
+                q_m=position[:, n:],
+                dq_l=velocity[:, :n],
+                dq_m=velocity[:, n:],
+                q_ld=jets[:, 0],
+                dq_ld=jets[:, 1],
+                higher=jets[:, 2:].reshape(len(t), -1),
+                error=position[:, :n] - jets[:, 0],
+                u=u,
+                held=held,
+                torque=torque,
+                external_torque=torques.of(t, measured, velocity),
+                since=since[rows],
+                latency=np.where(signals.answered[rows] >= 0, latency, np.nan),
+            )
+        self.reference_mismatch = reference.mismatch
+        signals.close()
+        estimated = "no velocities were measured: positions and velocities are an observer's ({:g} rad/s)"
+        estimates = () if estimate is None else (estimated.format(estimate.bandwidth),)
+        return (*estimates, *reference.notes(signals.has_reference))
 
     @property
     def seconds(self) -> float:
@@ -123,48 +150,32 @@ class Recording:
 
     def parts(self) -> Iterator[RunData]:
         """Yield the run in parts; each repeats up to LEAD states of the one before."""
-        signals, reference = self.signals, RecordedReference(self.scenario)
-        estimate = None if self.velocities_measured else EstimatedStates(self.scenario)
-        certificate, torques = self._certificate(), ExternalTorques(self.scenario)
-        held: Array = np.zeros((0, len(self.joints)))
+        signals, certificate, B_m = self.signals, self._certificate(), self.scenario.robot.B_m
         for start in range(0, self.states, self._size):
-            begin, end = min(LEAD, start), start + self._size
-            rows, around = slice(start - begin, end), slice(max(0, start - AROUND), end + AROUND)
-            within = slice(rows.start - around.start, rows.stop - around.start)
-            t = (signals.stamp[around] - signals.stamp[0]) * 1e-9
-            jets = reference.jets(t, *signals.reference(around))[within]
-            position, velocity, torque = signals.states(rows)
-            u, answered, measured = signals.efforts(rows), signals.answered[rows], position
-            if estimate is not None:
-                position, velocity = estimate.of(signals.stamp[rows], position, u, begin)
-                measured = np.where(estimate.settled[:, None], measured, np.nan)
-            before = held[-begin - 1] if len(held) > begin else None
-            held = held_efforts(u, before)
+            begin, end = min(LEAD, start), min(start + self._size, self.states)
+            found = self.columns.at(np.arange(start - begin - 1, end))  # the effort before is known from the first row
+            before, found = found["held"][0], {name: values[1:] for name, values in found.items()}
+            rows = slice(start - begin, end)
+            sent, answered = ((each[rows] - signals.sent[0]) * 1e-9 for each in (signals.sent, signals.answered))
+            reference = found["q_ld"], found["dq_ld"], *np.split(found["higher"], JETS - 2, axis=1)
             yield RunData(
                 begin=begin,
                 before=before,
                 certify=certificate,
-                observe=torques.of,
-                measured=measured,
-                u_applied=torque @ np.linalg.inv(self.scenario.robot.B_m).T if signals.reader.known_torque else None,
+                u_applied=found["torque"] @ np.linalg.inv(B_m).T if signals.reader.known_torque else None,
                 sample_period=self.sample_period,
                 lockstep=self.lockstep,
                 effort_limit=self.effort_limit,
                 effort_rate=np.asarray(self.scenario.settings.effort_rate),
-                t=t[within],
-                position=position,
-                velocity=velocity,
-                jets=jets,
-                u=u,
-                torque=torque,
-                sent=(signals.sent[rows] - signals.sent[0]) * 1e-9,
-                answered=np.where(answered >= 0, (answered - signals.sent[0]) * 1e-9, np.nan),
+                t=found["t"],
+                position=np.hstack([found["q_l"], found["q_m"]]),
+                velocity=np.hstack([found["dq_l"], found["dq_m"]]),
+                jets=np.stack(reference, axis=1),
+                u=found["u"],
+                torque=found["torque"],
+                sent=sent,
+                answered=np.where(signals.answered[rows] >= 0, answered, np.nan),
             )
-        self.reference_mismatch = reference.mismatch
-        estimated = "no velocities were measured: positions and velocities are an observer's ({:g} rad/s)"
-        estimates = () if estimate is None else (estimated.format(estimate.bandwidth),)
-        found = *estimates, *reference.notes(signals.has_reference)
-        self.notes = (*signals.notes, *found, *self._rate_note)
 
     def _certificate(self) -> Callable[[RunData], CertificateSeries]:
         """Return the certificate along a part; of another law than v-dPBC only what the robot alone determines."""
@@ -179,49 +190,40 @@ class Recording:
 
 
 class EstimatedStates:
-    """Positions and velocities by the scenario's observer, for states that come in parts.
-
-    settled (k,): whether the velocities of the last part may be used.
-    """
+    """Positions and velocities by the scenario's observer, for states that come in parts."""
 
     def __init__(self, scenario: Scenario) -> None:
-        values, n = scenario.controller_values, scenario.robot.n
+        values = scenario.controller_values
         self.bandwidth = float(values["measurement.observer_bandwidth"])  # type: ignore[arg-type]
         self._observer = VelocityObserver(scenario.robot, self.bandwidth, bool(values["compile"]))
-        self._n, self._effort = n, np.zeros(n)
-        self._last: Array = np.zeros((0, 4 * n))
+        self._n, self._effort = scenario.robot.n, np.zeros(scenario.robot.n)
 
-    def of(self, stamp: Times, position: Array, u: Array, begin: int) -> tuple[Array, Array]:
-        """Return positions and velocities (k, 2n) at stamps (k,) [ns] with measured positions (k, 2n).
+    def of(self, stamp: Times, position: Array, u: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return positions and velocities (k, 2n) at stamps (k,) [ns], and whether they have settled (k,).
 
-        u (k, n) [N m] acts from each state on. The first `begin` states are the last ones of the part before.
+        position (k, 2n): measured. u (k, n) [N m] acts from each state on.
         """
-        n, rows, self.settled = self._n, [*self._last[len(self._last) - begin :]], np.ones(len(u), dtype=bool)
-        for k in range(begin, len(u)):
-            q = position[k]
-            self._observer.update(int(stamp[k]), q[:n], q[n:], self._effort)
-            rows.append(self._observer.state.copy())
-            self.settled[k] = self._observer.samples >= SETTLED
+        n, observer = self._n, self._observer
+        states, settled = np.zeros((len(u), 4 * n)), np.ones(len(u), dtype=bool)
+        for k, q in enumerate(position):
+            observer.update(int(stamp[k]), q[:n], q[n:], self._effort)
+            states[k], settled[k] = observer.state, observer.samples >= SETTLED
             self._effort = np.nan_to_num(u[k])
-        estimate = np.array(rows).reshape(-1, 4 * n)
-        self._last = estimate[-LEAD:]
-        return estimate[:, : 2 * n], estimate[:, 2 * n :]
+        return states[:, : 2 * n], states[:, 2 * n :], settled
 
 
 class ExternalTorques:
-    """External torques by the scenario's observer, for parts of a run; a part that follows no other restarts it."""
+    """External torques by the scenario's observer, for states that come in parts."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._observer = torque_observer(scenario.controller_values, scenario.robot)
-        self._rows, self._t = np.tile(self._observer.start, (LEAD, 1)), 0.0
+        self._state, self._t = self._observer.start, 0.0
 
-    def of(self, part: RunData) -> Array:
-        """Return the torques (k, n) [N m] at the states of a part."""
-        t, new = part.t, slice(part.begin, None)
-        rows = self._observer.along(t[new] - self._t, part.measured[new], part.velocity[new], self._rows[-1])
-        rows = np.concatenate([self._rows[LEAD - part.begin :], rows])
-        self._rows, self._t = np.concatenate([self._rows, rows])[-LEAD:], float(t[-1])
-        return rows[:, -part.u.shape[1] :]
+    def of(self, t: Array, position: Array, velocity: Array) -> Array:
+        """Return the torques (k, n) [N m] at times t (k,) [s]; position (k, 2n): measured, NaN: not to be used."""
+        rows = self._observer.along(t - self._t, position, velocity, self._state)
+        self._state, self._t = rows[-1], float(t[-1])
+        return rows[:, -position.shape[1] // 2 :]
 
 
 class RecordedReference:

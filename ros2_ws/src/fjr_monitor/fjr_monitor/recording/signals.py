@@ -108,7 +108,7 @@ class RunSignals:
     It begins with the first state that has a command, and of the copies of that state with the last one that was sent
     before the command. stamp, sent (k,) [ns]: stamps and send times of the states. answered (k,) [ns]: send times of
     their commands, -1: none. counters: last /diagnostics of each name. events: of the controller, each with its send
-    time [ns]. notes: on bag, states and commands.
+    time [ns]. has_reference: whether it was recorded. notes: on bag, states and commands.
     """
 
     def __init__(self, bag: Bag, scenario: Scenario, duration: float) -> None:
@@ -118,7 +118,7 @@ class RunSignals:
         self.events: list[tuple[Any, int]] = []
         self._commands = next((topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)), None)
         kept = [STATES, *filter(None, [self._commands]), *filter(bag.holds, [REFERENCE])]
-        self._numbers = {topic: Columns() for topic in kept}
+        self._numbers, self.has_reference = {topic: Columns() for topic in kept}, REFERENCE in kept
         self._read(bag, scenario.joints)
         self._choose(bag, duration)
 
@@ -141,10 +141,9 @@ class RunSignals:
         found = self._numbers[REFERENCE].at(self._references[rows])
         return found["position"], found["velocity"]
 
-    @property
-    def has_reference(self) -> bool:
-        """Return whether the reference was recorded."""
-        return REFERENCE in self._numbers
+    def close(self) -> None:
+        """Forget the numbers; stamps and send times stay."""
+        self._numbers.clear()
 
     @property
     def periods(self) -> Times:

@@ -169,14 +169,13 @@ class Report:
 class Metrics:
     """What is known of a run once its parts were read twice: first what the second reading depends on.
 
-    columns: signals and powers of all states, as a table names them; external_torque only if it is `shown`. beta [1/s],
-    proven: rate of V.
+    columns: V, H and the powers of `steps`, beside the columns of the run. beta [1/s], proven: rate of V.
     """
 
-    def __init__(self, run: Recording, shown: bool = True) -> None:
+    def __init__(self, run: Recording) -> None:
         self.run, self.columns = run, Columns()
         self._diagnosis: SecondPass | None = None
-        rate, n = NO_RATE, len(run.joints)
+        rate = NO_RATE
         if (law := run.scenario.certified_law) is not None:
             scales = JointTolerances.of(run.scenario.controller_values, run.scenario.robot)
             first = FirstPass(law, run.states, run.step, not run.lockstep, scales)
@@ -186,28 +185,12 @@ class Metrics:
             self._diagnosis = SecondPass(first, rate.beta)
         self.beta, self.proven = rate.beta, rate.proven and run.scenario.plant_is_the_model
         for part in run.parts():
-            new = {
-                "t": part.t,
-                "q_l": part.q_l,
-                "q_m": part.position[:, n:],
-                "dq_l": part.velocity[:, :n],
-                "dq_m": part.velocity[:, n:],
-                "q_ld": part.q_ld,
-                "dq_ld": part.jets[:, 1],
-                "error": part.error,
-                "u": part.u,
-                "external_torque": part.external_torque if shown else np.full_like(part.u, np.nan),
-                "V": part.V,
-                "H": part.certificate.H,
-                "since": np.diff(part.sent, prepend=np.nan),  # the state before was sent
-                "latency": part.latency,
-            }
-            new = {name: values[part.begin :] for name, values in new.items()}
-            self.columns.add(**new, **steps(part, run.scenario.robot.B_m, rate.beta))
+            found = {"V": part.V[part.begin :], "H": part.certificate.H[part.begin :]}
+            self.columns.add(**found, **steps(part, run.scenario.robot.B_m, rate.beta))
             if self._diagnosis is not None:
                 self._diagnosis.add(part, part.certificate)
         self.energy_known = bool(np.isfinite(self.columns.column("H")[0]))
-        self.efforts_known = any(np.isfinite(self.columns.column("u", j)).any() for j in range(n))
+        self.efforts_known = any(np.isfinite(run.columns.column("u", j)).any() for j in range(len(run.joints)))
 
     def verdict(self) -> Diagnosis:
         """Return whether V decayed as guaranteed, and the causes if it did not."""
@@ -229,8 +212,8 @@ class Metrics:
         stop, touched = run.stop, contact(run, law, touching) if touching and law else None
         if stop and touched and touched.begins_s <= stop.at_s <= touched.ends_s + AFTER_CONTACT:
             stop = replace(stop, reason=f"{stop.reason}; {touched.sentence}")
-        t, V = self.columns.column("t"), self.columns.column("V")
-        joints, tracking = tracked(run, self.columns)
+        t, V = run.columns.column("t"), self.columns.column("V")
+        joints, tracking = tracked(run)
         versions: dict[str, str] = {}
         for each in VERSIONS:
             with suppress(PackageNotFoundError):
@@ -249,7 +232,7 @@ class Metrics:
             tracking=tracking,
             joints=joints,
             storage=storage(t, V, self.beta, self.proven),
-            energy=energy(self.columns) if self.energy_known else None,
+            energy=energy(t, self.columns) if self.energy_known else None,
             timing=timing(run.signals),
             counts=counts(run, duration),
             diagnostics=run.signals.counters,

@@ -71,8 +71,9 @@ class Tracking:
     reference_mismatch_rad: float  # recorded minus planned reference: a cross-check, near 0
 
 
-def tracked(run: Recording, columns: Columns) -> tuple[list[JointMetrics], Tracking]:
-    """Return the metrics of every joint and of all joints; columns: t, error and u of all states."""
+def tracked(run: Recording) -> tuple[list[JointMetrics], Tracking]:
+    """Return the metrics of every joint and of all joints."""
+    columns = run.columns
     t, first = columns.column("t"), np.abs(columns.at(np.zeros(1, dtype=int))["error"][0])
     band = SETTLED * float(first.max())
     joints, largest = [], np.zeros(len(t))
@@ -242,9 +243,9 @@ def _torque(part: RunData, B_m: Array) -> Array:
     return np.asarray(late * after[:-1] + (1.0 - late) * after[1:])
 
 
-def energy(columns: Columns) -> Energy:
-    """Return the energies of a run; columns: t and the powers of `steps` of all states."""
-    dt = np.diff(columns.column("t"), prepend=np.nan)
+def energy(t: Array, columns: Columns) -> Energy:
+    """Return the energies of a run; columns: powers of `steps` of all states, at times t (k,) [s]."""
+    dt = np.diff(t, prepend=np.nan)
     powers = {name: columns.column(name) for name in ("supplied", "dissipated", "stored", "residual")}
     known = np.isfinite(powers["residual"])
     left, supplied = (float(np.sqrt((powers[name][known] ** 2).sum())) for name in ("residual", "supplied"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -37,21 +38,21 @@ class Shown:
 
     def __init__(self, metrics: Metrics) -> None:
         self.metrics, self.run = metrics, metrics.run
-        columns, joints = metrics.columns, range(len(self.run.joints))
-        rows = kept_rows(columns)
-        self.states = columns.at(rows)
+        columns, powers = self.run.columns, metrics.columns
+        rows = kept_rows(columns, powers)
+        self.states = columns.at(rows) | powers.at(rows)
         self.states["largest_error"] = np.abs(self.states["error"]).max(axis=1)
         self.states["largest_effort"] = np.fmax.reduce(np.abs(self.states["u"]), axis=1)
         self.frames = columns.at(np.unique(np.linspace(0, len(columns) - 1, FRAMES).astype(int)))
-        bent = (np.abs(columns.column("q_m", j) - columns.column("q_l", j)) for j in joints)
+        bent = (np.abs(columns.column("q_m", j) - columns.column("q_l", j)) for j in range(len(self.run.joints)))
         self.deflection = np.array([np.fmax.reduce(each) for each in bent])
         t = columns.column("t")
         dt, ends = np.diff(t, prepend=np.nan), rows[rows > 0]
         self.steps = {name: values[rows > 0] for name, values in self.states.items()} | {"t": t[ends - 1]}
-        powers = ("supplied", "dissipated", "stored", "residual")
-        self.steps["watts"] = np.column_stack([self.steps[name] for name in powers])
-        self.steps["joules"] = np.column_stack([np.nancumsum(columns.column(name) * dt)[ends] for name in powers])
-        measured, predicted = columns.column("measured"), columns.column("predicted")
+        flows = ("supplied", "dissipated", "stored", "residual")
+        self.steps["watts"] = np.column_stack([self.steps[name] for name in flows])
+        self.steps["joules"] = np.column_stack([np.nancumsum(powers.column(name) * dt)[ends] for name in flows])
+        measured, predicted = powers.column("measured"), powers.column("predicted")
         known = np.isfinite(measured + predicted)
         size = float(np.abs(measured[known]).sum())
         self.rate_error = float(np.abs(predicted - measured)[known].sum()) / size if size else math.nan
@@ -63,11 +64,11 @@ class Shown:
         return V / (V[0] or 1.0)
 
 
-def kept_rows(columns: Columns) -> NDArray[np.intp]:
+def kept_rows(*tables: Columns) -> NDArray[np.intp]:
     """Return all rows of a run up to EVERY states, else those with the extremes of each column in each of BUCKETS."""
-    if len(columns) <= EVERY:
-        return np.arange(len(columns))
-    return np.unique(np.concatenate([extremes(column[None], BUCKETS) for column in columns]))
+    if len(tables[0]) <= EVERY:
+        return np.arange(len(tables[0]))
+    return np.unique(np.concatenate([extremes(column[None], BUCKETS) for column in chain(*tables)]))
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ def report_bag(
     """
     with without_warnings():
         run = Recording(bag, scenario, duration or np.inf)
-        metrics = Metrics(run, pages)
+        metrics = Metrics(run)
         data = Shown(metrics)
         length = duration or run.seconds + run.sample_period
         report = metrics.report(name, length, planned_s=duration, **known)
@@ -139,7 +139,8 @@ def write_table(metrics: Metrics, file: Path) -> None:
 def time_series(metrics: Metrics) -> Iterator[dict[str, Array]]:
     """Yield the columns (k,) of a table of a run, block by block, by name, joint and unit: `q_l.joint1 [rad]`."""
     run = metrics.run
-    for block in metrics.columns.blocks():
+    for signals, powers in zip(run.columns.blocks(), metrics.columns.blocks(), strict=True):
+        block = signals | powers
         columns = {f"{name} [{unit}]": block[name] for name, unit in OF_ALL.items()}
         for name, quantity in OF_JOINTS.items():
             for joint, units, column in zip(run.joints, run.units, block[name].T, strict=True):
