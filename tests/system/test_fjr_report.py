@@ -20,6 +20,7 @@ import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from fjr_core.config.scenario import Scenario, load_scenario
+from fjr_monitor.diagnosis.record import parts_of
 from fjr_monitor.recording import columns as stored
 from fjr_monitor.recording import run as recorded_run
 from fjr_monitor.recording import signals
@@ -75,8 +76,7 @@ def whole(run: Path, model: Scenario) -> RunData:
 def read(bag: Path, model: Scenario) -> tuple[Recording, RunData]:
     """Return the first second of a run, and it as one part."""
     recording = Recording(read_bag(bag), model, 1.0)
-    (part,) = recording.parts()
-    return recording, part
+    return recording, recording.part(0, len(recording))
 
 
 def report(bag: Path, run: Path, tmp_path: Path) -> dict[str, Any]:
@@ -185,7 +185,7 @@ def test_velocities_and_external_torques_are_estimated_if_not_recorded(
     bag = read_bag(run)
     batch = next(bag.batches((TORQUE,), TORQUE, 10_000))
     published = bag.table(batch[TORQUE], model.joints)
-    torque, estimated = (each.columns.at(np.arange(each.states))["external_torque"] for each in (first, recording))
+    torque, estimated = (each.columns.at(np.arange(len(each)))["external_torque"] for each in (first, recording))
     np.testing.assert_allclose(torque, published.effort[: len(whole.t)], rtol=0, atol=1e-12)
     assert np.isnan(estimated[:5]).all()
     for found, largest in ((torque, 1e-3), (estimated[5:], 0.1)):
@@ -325,9 +325,10 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
         monkeypatch.setattr(recorded_run, "AROUND", around)
         monkeypatch.setattr(signals, "TOGETHER", size)
         monkeypatch.setattr(stored, "IN_MEMORY", size)
-        recording = Recording(read_bag(bag), model, duration, size)
-        parts = list(recording.parts())
-        metrics = Metrics(recording)
+        monkeypatch.setattr(recorded_run, "PART", size)
+        recording = Recording(read_bag(bag), model, duration)
+        parts = list(parts_of(recording, size))
+        metrics = Metrics(recording, size)
         shown = Shown(metrics)
         found.append((parts, metrics.report("run", 1.0).as_json(), shown))
     (one, whole, shown), (many, pieces, in_parts) = found
@@ -350,7 +351,7 @@ def test_messages_that_were_received_late_have_their_place_by_the_time_they_were
     found = []
     for folder, late in ((tmp_path / "in time", 0.0), (tmp_path / "late", 0.3)):
         received(run, folder, late)
-        parts = list(Recording(read_bag(folder), model, 1.0, 100).parts())
+        parts = list(parts_of(Recording(read_bag(folder), model, 1.0), 100))
         found.append([np.concatenate([getattr(part, name)[part.begin :] for part in parts]) for name in ("t", "u")])
     for values, wanted in zip(*found, strict=True):
         np.testing.assert_array_equal(values, wanted)

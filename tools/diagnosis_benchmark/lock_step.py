@@ -190,12 +190,12 @@ TYPES[EFFORTS] = "std_msgs/msg/Float64MultiArray"
 MESSAGES = get_typestore(Stores.ROS2_JAZZY)
 NOTHING: Array = np.zeros(0)
 LATENCY = 200_000  # ns; from a state to its command
-WHOLE = 1_000_000  # states of a part
 
 
 def read_record(folder: Path, scenario: Scenario) -> Record:
     """Return the run in a bag as one record."""
-    return next(Recording(read_bag(folder), scenario, size=WHOLE).parts())
+    recording = Recording(read_bag(folder), scenario)
+    return recording.part(0, len(recording))
 
 
 def write_bag(loop: LockStepLoop, folder: Path) -> None:

@@ -180,17 +180,6 @@ def test_a_record_in_parts_has_the_diagnosis_of_the_whole(changed: dict[str, flo
             np.testing.assert_allclose(found.errors[cause], error, rtol=1e-9, atol=1e-13)
 
 
-def test_the_ends_of_a_record_in_parts_are_its_first_and_last_states() -> None:
-    whole = record()
-    for most, size in ((100, 30), (100, 1000), (5000, 700)):
-        ends = whole.rows(slice(0))
-        for part in whole.parts(size):
-            ends = ends.followed_by(part.new).ends(most)
-        rows = np.unique(np.r_[: min(most, len(whole.t)), max(0, len(whole.t) - most) : len(whole.t)])
-        wanted = whole.t[rows]
-        np.testing.assert_array_equal(ends.t, wanted)
-
-
 @pytest.mark.parametrize(
     ("delay", "tolerance", "kind", "cause"),
     [(0.0, 1e-9, "violated", "sampling"), (2e-3, 1e-4, "degraded", "delay"), (2e-3, 1e-6, "violated", "delay")],

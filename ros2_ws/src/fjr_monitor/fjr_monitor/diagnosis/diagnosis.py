@@ -7,6 +7,7 @@ Only measured states and sent efforts are used.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from .causes import CausePropagation, StorageGrowth, closed_loop, growth, storag
 from .delay_estimation import AFTER, BEFORE, ActingSums, effort_delay, foreseen
 from .fault_isolation import MOST_STATES, isolate
 from .grading import BlockStatistics
-from .record import PART, Innovations, Record, T, limited
+from .record import PART, Innovations, Record, Recorded, limited, parts_of
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
 from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, external, unknown, violated
@@ -91,13 +92,9 @@ def diagnose(
     and tolerances of the joints; None: JointTolerances.plain. velocities_measured: false if an observer estimates them;
     faults are then not isolated, nor in a loop that is unstable at its sample period. size: states processed at once.
     """
-    step = float(np.median(np.diff(record.t))) if len(record.t) > 1 else record.sample_period
-    axes, timed = axes or JointTolerances.plain(law.robot.n), bool(record.known_latency().any())
-    first = FirstPass(law, len(record.t), step, timed, axes)
-    for part in record.parts(size):
-        first.add(part)
+    first = FirstPass(record, law, axes or JointTolerances.plain(law.robot.n), size)
     second = SecondPass(first, beta)
-    for part in record.parts(size):
+    for part in parts_of(record, size):
         second.add(part)
     return second.result(velocities_measured)
 
@@ -105,53 +102,42 @@ def diagnose(
 class FirstPass:
     """What the parts of a record, which is never in memory as a whole, say before a SecondPass diagnoses it."""
 
-    def __init__(self, law: TrackingLaw, states: int, step: float, timed: bool, axes: JointTolerances) -> None:
-        """Start without parts of a record, of which is known what follows.
-
-        states: their number. step [s]: median time between two. timed: whether latencies are known. axes: names, units
-        and tolerances of the joints.
-        """
-        self.law, self.axes, self.step, self._timed = law, axes, step, timed
-        self.reference = Visited(law.robot.n, states, CONFIGURATIONS)  # a diverging robot may be anywhere else
-        self.visited = Visited(law.robot.n, states, VISITED)
+    def __init__(self, record: Recorded[Record], law: TrackingLaw, axes: JointTolerances, size: int = PART) -> None:
+        """Read a record in parts of `size` states; axes: names, units and tolerances of the joints."""
+        self.law, self.axes, self.step, k = law, axes, record.step, len(record)
+        self.reference = Visited(law.robot.n, k, CONFIGURATIONS)  # a diverging robot may be anywhere else
+        self.visited = Visited(law.robot.n, k, VISITED)
         self.intervals, self.moving = 0, False
-        self._ends: Record | None = None
-        self._innovations: Innovations | None = None
-
-    def add(self, part: Record) -> None:
-        """Add a part."""
-        with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
-            found = innovations(part, self.law, valued=False)
+        for part in parts_of(record, size):
             self.reference.add(part.jets[:, 0], part.begin)
-            self.visited.add(part.position[:, : self.law.robot.n], part.begin)
-        self.intervals += len(found)
-        self._innovations = with_ends(self._innovations, found)
-        self._ends = with_ends(self._ends, part.new)
-        self.moving |= bool(np.isfinite(part.velocity).any())
+            self.visited.add(part.position[:, : law.robot.n], part.begin)
+            self.intervals += len(part.consecutive())
+            self.moving |= bool(np.isfinite(part.velocity).any())
+        half = MOST_STATES // 2
+        places = [(0, k)] if k <= MOST_STATES else [(0, half), (k - half, k)]
+        self._ends = [record.part(*each) for each in places]
+        self._timed = any(each.known_latency().any() for each in self._ends)
+        with np.errstate(all="ignore"):  # a diverging run overflows; the comparisons below allow for it
+            self._innovations = [innovations(each, law, valued=False) for each in self._ends]
 
     def acting(self, by_torque: bool = True) -> ActingSums:
         """Return what classifies the acting efforts; by_torque: as of effort_delay."""
-        found, half = self._innovations, MOST_STATES // 2
-        assert found is not None  # a record has a part
-        parts = [found] if self.intervals <= MOST_STATES else [found.rows(slice(half)), found.rows(slice(half, None))]
-        age = effort_delay(parts, self.law.robot, self._timed, by_torque)
-        return ActingSums(parts, age, self.law.robot, self._timed)
+        age = effort_delay(self._innovations, self.law.robot, self._timed, by_torque)
+        return ActingSums(self._innovations, age, self.law.robot, self._timed)
 
     def faults(self) -> tuple[Finding, ...]:
         """Return the faults that explain the record at both ends, where no motor was saturated.
 
         The measured torque reveals a saturated motor; how late efforts act is known by the motion alone.
         """
-        found = self._innovations
-        assert found is not None  # a record has a part
-        assert self._ends is not None
+        found, ends = reduce(Innovations.followed_by, self._innovations), reduce(Record.followed_by, self._ends)
         late = foreseen(found)
         free = ~(self.acting().acting(found).cut != 0).any(axis=1)
         moved = self.acting(by_torque=False)
         if moved.age.whole or moved.age.fraction:
             acted = moved.acting(found)
             late = late + acted.late + acted.lost
-        return isolate(self._ends, found.rows(free), late[free], self.law, self.axes.names)
+        return isolate(ends, found.rows(free), late[free], self.law, self.axes.names)
 
 
 class SecondPass:
@@ -255,11 +241,6 @@ def with_findings(diagnosis: Diagnosis, findings: tuple[Finding, ...]) -> Diagno
         diagnosis = external(diagnosis)
     sentence = "; ".join([diagnosis.sentence, *(each.sentence for each in findings)])
     return replace(diagnosis, sentence=sentence, findings=findings)
-
-
-def with_ends(before: T | None, new: T) -> T:
-    """Return the first and the last rows of a table that has new ones, MOST_STATES in all."""
-    return (new if before is None else before.followed_by(new)).ends(MOST_STATES // 2)
 
 
 class Visited:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ LEAD = 2
 PART = 8192
 """States of a part: what one pass over a record holds in memory."""
 T = TypeVar("T", bound="Table")
+Part = TypeVar("Part", bound="Record", covariant=True)
 Rows = slice | NDArray[np.intp] | NDArray[np.bool_]
 HUGE = 1e30
 """Positions and velocities of a diverged robot, at which V may overflow."""
@@ -54,10 +55,24 @@ class Table:
         joined = {name: np.concatenate([values, getattr(later, name)]) for name, values in self.columns.items()}
         return replace(self, **joined)  # type: ignore[type-var]
 
-    def ends(self: T, most: int) -> T:
-        """Return the first and the last rows, at most `most` of each."""
-        k = len(self)
-        return self.rows(np.r_[:most, k - most : k]) if k > 2 * most else self
+
+class Recorded(Protocol[Part]):
+    """A record of any length, which is read in parts; a Record is one."""
+
+    @property
+    def step(self) -> float:
+        """Median time [s] between two states."""
+
+    def __len__(self) -> int: ...
+
+    def part(self, start: int, end: int) -> Part:
+        """Return the states from `start` to `end`, with LEAD states before them."""
+
+
+def parts_of(record: Recorded[Part], size: int = PART) -> Iterator[Part]:
+    """Yield a record in parts of `size` states."""
+    for start in range(0, len(record), size):
+        yield record.part(start, min(start + size, len(record)))
 
 
 def blocks_of(values: NDArray[Any], size: int) -> NDArray[Any]:
@@ -119,18 +134,15 @@ class Record(Table):
         positive("sample_period", self.sample_period, StateError)
 
     @property
-    def new(self) -> Record:
-        """The states that the part before does not have."""
-        plain = Record(**{f.name: getattr(self, f.name) for f in fields(Record)})
-        before = self.held[self.begin - 1] if self.begin else self.before
-        return replace(plain.rows(slice(self.begin, None)), begin=0, before=before)
+    def step(self) -> float:
+        """Median time [s] between two states."""
+        return float(np.median(np.diff(self.t))) if len(self.t) > 1 else self.sample_period
 
-    def parts(self, size: int = PART) -> Iterator[Record]:
-        """Yield the record in parts of `size` states, each with the last LEAD states of the one before."""
-        for start in range(0, len(self.t), size):
-            begin = min(LEAD, start)
-            before = self.held[start - begin - 1] if start > begin else self.before
-            yield replace(self.rows(slice(start - begin, start + size)), begin=begin, before=before)
+    def part(self, start: int, end: int) -> Record:
+        """Return the states from `start` to `end`, with LEAD states before them."""
+        begin = min(LEAD, start)
+        before = self.held[start - begin - 1] if start > begin else self.before
+        return replace(self.rows(slice(start - begin, end)), begin=begin, before=before)
 
     def consecutive(self) -> NDArray[np.intp]:
         """Return the rows with two measured consecutive states, without a gap, with a reference and a known effort.

@@ -8,7 +8,7 @@ of gaps and stops.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -78,22 +78,21 @@ class Recording:
     duration [s] of stamped time; infinite: up to the last state that has a command. signals: of the run. columns: t,
     q_l, q_m, dq_l, dq_m, q_ld, dq_ld, the `higher` derivatives, error, u, the effort `held`, measured torque of the
     motors, external_torque, and times `since` the state before and to the command (latency) [s] by the send times.
-    states: their number. step [s]: median time between two. sample_period [s]. effort_limit (n,) [N m].
+    step [s]: median time between two. sample_period [s]. effort_limit (n,) [N m].
     velocities_measured: else an observer estimates them. reference_mismatch [rad]: recorded minus planned. stop: first
-    stop of the controller, None: it never stopped. notes: one sentence for each missing or substituted signal. size:
-    states of a part.
+    stop of the controller, None: it never stopped. notes: one sentence for each missing or substituted signal.
     """
 
-    def __init__(self, bag: Bag, scenario: Scenario, duration: float = np.inf, size: int = PART) -> None:
-        self.bag, self.scenario, self._size, self.columns = bag, scenario, size, Columns()
+    def __init__(self, bag: Bag, scenario: Scenario, duration: float = np.inf) -> None:
+        self.bag, self.scenario, self.columns = bag, scenario, Columns()
         self.joints, self.units = scenario.joints, scenario.robot.units
         self.lockstep = bool(scenario.plant_values["lockstep"])
         self.effort_limit = effort_limits(scenario.controller_values, scenario.robot)
         self.signals = signals = RunSignals(bag, scenario, duration)
-        self.stop, self.states = first_stop(signals), len(signals.stamp)
+        self.stop, count = first_stop(signals), len(signals.stamp)
         self.velocities_measured = not signals.reader.estimated
         nominal, seen = scenario.sample_period, 0.0
-        if self.states > 1:
+        if count > 1:
             seen = float(np.median(np.diff(signals.stamp))) * 1e-9
         other = seen > 0 and abs(seen - nominal) > OTHER_RATE * nominal
         self.step, self.sample_period = seen or nominal, (seen if other else nominal)
@@ -107,8 +106,8 @@ class Recording:
         estimate = None if self.velocities_measured else EstimatedStates(scenario)
         torques = ExternalTorques(scenario)
         since, before = np.append(np.nan, signals.periods * 1e-9), None
-        for start in range(0, self.states, self._size):
-            end = start + self._size
+        for start in range(0, len(signals.stamp), PART):
+            end = start + PART
             rows, around = slice(start, end), slice(max(0, start - AROUND), end + AROUND)
             within = slice(start - around.start, end - around.start)
             t = (signals.stamp[around] - signals.stamp[0]) * 1e-9
@@ -148,45 +147,48 @@ class Recording:
         """Time [s] of the last state."""
         return float(self.signals.stamp[-1] - self.signals.stamp[0]) * 1e-9
 
-    def parts(self) -> Iterator[RunData]:
-        """Yield the run in parts; each repeats up to LEAD states of the one before."""
-        signals, certificate, B_m = self.signals, self._certificate(), self.scenario.robot.B_m
-        for start in range(0, self.states, self._size):
-            begin, end = min(LEAD, start), min(start + self._size, self.states)
-            found = self.columns.at(np.arange(start - begin - 1, end))  # the effort before is known from the first row
-            before, found = found["held"][0], {name: values[1:] for name, values in found.items()}
-            rows = slice(start - begin, end)
-            sent, answered = ((each[rows] - signals.sent[0]) * 1e-9 for each in (signals.sent, signals.answered))
-            reference = found["q_ld"], found["dq_ld"], *np.split(found["higher"], JETS - 2, axis=1)
-            yield RunData(
-                begin=begin,
-                before=before,
-                certify=certificate,
-                u_applied=found["torque"] @ np.linalg.inv(B_m).T if signals.reader.known_torque else None,
-                sample_period=self.sample_period,
-                lockstep=self.lockstep,
-                effort_limit=self.effort_limit,
-                effort_rate=np.asarray(self.scenario.settings.effort_rate),
-                t=found["t"],
-                position=np.hstack([found["q_l"], found["q_m"]]),
-                velocity=np.hstack([found["dq_l"], found["dq_m"]]),
-                jets=np.stack(reference, axis=1),
-                u=found["u"],
-                torque=found["torque"],
-                sent=sent,
-                answered=np.where(signals.answered[rows] >= 0, answered, np.nan),
-            )
+    def __len__(self) -> int:
+        return len(self.columns)
 
-    def _certificate(self) -> Callable[[RunData], CertificateSeries]:
+    def part(self, start: int, end: int) -> RunData:
+        """Return the states from `start` to `end`, with LEAD states before them."""
+        signals, begin = self.signals, min(LEAD, start)
+        found = self.columns.at(np.arange(start - begin - 1, end))  # the effort before is known from the first row
+        before, found = found["held"][0], {name: values[1:] for name, values in found.items()}
+        rows = slice(start - begin, end)
+        sent, answered = ((each[rows] - signals.sent[0]) * 1e-9 for each in (signals.sent, signals.answered))
+        reference = found["q_ld"], found["dq_ld"], *np.split(found["higher"], JETS - 2, axis=1)
+        inverse = np.linalg.inv(self.scenario.robot.B_m).T
+        return RunData(
+            begin=begin,
+            before=before,
+            certify=self._certify,
+            u_applied=found["torque"] @ inverse if signals.reader.known_torque else None,
+            sample_period=self.sample_period,
+            lockstep=self.lockstep,
+            effort_limit=self.effort_limit,
+            effort_rate=np.asarray(self.scenario.settings.effort_rate),
+            t=found["t"],
+            position=np.hstack([found["q_l"], found["q_m"]]),
+            velocity=np.hstack([found["dq_l"], found["dq_m"]]),
+            jets=np.stack(reference, axis=1),
+            u=found["u"],
+            torque=found["torque"],
+            sent=sent,
+            answered=np.where(signals.answered[rows] >= 0, answered, np.nan),
+        )
+
+    def _certify(self, part: RunData) -> CertificateSeries:
         """Return the certificate along a part; of another law than v-dPBC only what the robot alone determines."""
-        scenario, law = self.scenario, self.scenario.certified_law
-        made = Certificate(law or TrackingLaw(scenario.robot, scenario.gains))
+        found = self._certificate.along(part.position, part.velocity, part.jets, part.u)
+        if self.scenario.certified_law is not None:
+            return found
+        return replace(found, V=np.nan * found.V, dV=np.nan * found.dV)
 
-        def along(part: RunData) -> CertificateSeries:
-            found = made.along(part.position, part.velocity, part.jets, part.u)
-            return found if law is not None else replace(found, V=np.nan * found.V, dV=np.nan * found.dV)
-
-        return along
+    @cached_property
+    def _certificate(self) -> Certificate:
+        scenario = self.scenario
+        return Certificate(scenario.certified_law or TrackingLaw(scenario.robot, scenario.gains))
 
 
 class EstimatedStates:

@@ -20,7 +20,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.diagnosis import innovations
-from fjr_monitor.diagnosis.record import blocks_of
+from fjr_monitor.diagnosis.record import blocks_of, parts_of
 from fjr_monitor.diagnosis.residuals import torques
 from fjr_monitor.diagnosis.torque_faults import QUIET
 from fjr_monitor.recording.bag import JointTable
@@ -92,7 +92,7 @@ def contact(run: Recording, law: TrackingLaw, joints: Sequence[str]) -> Contact:
 def _residual_torques(run: Recording, law: TrackingLaw) -> tuple[Array, Array, Array]:
     """Return times (k,), positions and residual torques (k, n) of the links, each a mean over TOGETHER intervals."""
     n, parts = run.scenario.robot.n, []
-    for part in run.parts():
+    for part in parts_of(run):
         found, first = innovations(part, law, valued=False), part.consecutive()
         torque = torques(law.robot, found.states[:, 0, : 2 * n], found.error[:, 2 * n :], found.dt)[:, :n]
         columns = part.t[first] + found.dt / 2, part.q_l[first], torque

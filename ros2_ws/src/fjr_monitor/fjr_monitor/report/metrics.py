@@ -22,6 +22,7 @@ from fjr_core.files.text_file import write_text
 from fjr_core.law.rate import NO_RATE
 from fjr_core.model.robot import joined
 from fjr_monitor.diagnosis.diagnosis import FirstPass, SecondPass
+from fjr_monitor.diagnosis.record import PART, parts_of
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import EXTERNAL, SAMPLING, Diagnosis, unknown
 from fjr_monitor.recording.columns import Columns
@@ -172,19 +173,17 @@ class Metrics:
     columns: V, H and the powers of `steps`, beside the columns of the run. beta [1/s], proven: rate of V.
     """
 
-    def __init__(self, run: Recording) -> None:
+    def __init__(self, run: Recording, size: int = PART) -> None:
         self.run, self.columns = run, Columns()
         self._diagnosis: SecondPass | None = None
         rate = NO_RATE
         if (law := run.scenario.certified_law) is not None:
             scales = JointTolerances.of(run.scenario.controller_values, run.scenario.robot)
-            first = FirstPass(law, run.states, run.step, not run.lockstep, scales)
-            for part in run.parts():
-                first.add(part)
+            first = FirstPass(run, law, scales, size)
             rate = first.visited.rate(law)
             self._diagnosis = SecondPass(first, rate.beta)
         self.beta, self.proven = rate.beta, rate.proven and run.scenario.plant_is_the_model
-        for part in run.parts():
+        for part in parts_of(run, size):
             found = {"V": part.V[part.begin :], "H": part.certificate.H[part.begin :]}
             self.columns.add(**found, **steps(part, run.scenario.robot.B_m, rate.beta))
             if self._diagnosis is not None:
