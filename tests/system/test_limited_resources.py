@@ -15,11 +15,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from build_wheels import PACKAGES
 from envsetup.workspace import quote_paths
+from fjr_core.errors import FjrError
 from fjr_core.files.text_file import write_text
+from fjr_monitor.recording import columns
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.report.write import write_with_fallback
 from fjr_msgs_py.console.ending import Exit
@@ -116,6 +119,16 @@ def test_a_report_that_cannot_be_written_is_written_elsewhere(
         assert str(folder) in said
     assert write_with_fallback(tmp_path / "good", lambda place: None) == tmp_path / "good"
     assert capsys.readouterr().err == ""
+
+
+def test_numbers_of_a_bag_that_have_no_room_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", "/dev/null")
+    monkeypatch.setattr(columns, "IN_MEMORY", 8)
+    sentence = (
+        "^the scratch file of a bag in /dev/null is not written: Not a directory; expected room there, or TMPDIR$"
+    )
+    with pytest.raises(FjrError, match=sentence):
+        columns.Columns().add(t=np.zeros(100))
 
 
 def test_partial_file_is_never_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

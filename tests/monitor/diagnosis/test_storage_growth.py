@@ -17,10 +17,10 @@ from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.causes import CauseErrors, StorageBudget
 from fjr_monitor.diagnosis.diagnosis import diagnose
-from fjr_monitor.diagnosis.grading import BlockStatistics
 from fjr_monitor.diagnosis.online_diagnosis import OnlineDiagnosis
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import DIVERGED, EXCEEDED, FEWEST, JointTolerances
+from fjr_monitor.diagnosis.verdict import BlockStatistics
 from fuzzing import fuzzed
 from monitor.diagnosis.loops import Certified, recorded
 

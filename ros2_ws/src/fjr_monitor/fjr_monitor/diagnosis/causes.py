@@ -31,8 +31,8 @@ from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen
 from fjr_monitor.diagnosis.record import Innovations, blocks_of
 
 from .thresholds import BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE
-from .verdict import MISMATCH, SATURATION
 
+MISMATCH, SATURATION = "model mismatch", "saturation"
 CAUSES = (MISMATCH, SATURATION, "delay", "loss")
 CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
 EMPTY: Array = np.zeros((0, 0, 0))

@@ -21,14 +21,13 @@ from fjr_core.runtime.events import Finding
 from fjr_core.stability.linearization import linearize
 
 from . import thresholds
-from .causes import CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
+from .causes import MISMATCH, CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
 from .delay_estimation import AFTER, BEFORE, ActingSums, effort_delay, foreseen
 from .fault_isolation import MOST_STATES, isolate
-from .grading import BlockStatistics
 from .record import PART, Innovations, Record, Recorded, limited, parts_of
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
-from .verdict import EXTERNAL, MISMATCH, NO_DECAY, SAMPLING, Diagnosis, external, unknown, violated
+from .verdict import EXTERNAL, NO_DECAY, SAMPLING, BlockStatistics, Diagnosis, external, unknown, violated
 
 CONFIGURATIONS = 12  # of a run at which the sampled loop is linearised
 VISITED = 200  # configurations of a run at which the rate is evaluated

@@ -29,9 +29,8 @@ from fjr_monitor.diagnosis.causes import (
     storage_budget,
 )
 from fjr_monitor.diagnosis.delay_estimation import ActingSums, EffortDelay, effort_delay
-from fjr_monitor.diagnosis.grading import BlockStatistics
 from fjr_monitor.diagnosis.record import Innovations, limited
-from fjr_monitor.diagnosis.verdict import Diagnosis, unknown
+from fjr_monitor.diagnosis.verdict import BlockStatistics, Diagnosis, unknown
 
 from .thresholds import BLOCK, OLDEST, JointTolerances
 
