@@ -24,7 +24,7 @@ from . import thresholds
 from .causes import MISMATCH, CausePropagation, StorageGrowth, closed_loop, growth, storage_budget
 from .delay_estimation import AFTER, BEFORE, ActingSums, effort_delay, foreseen
 from .fault_isolation import MOST_STATES, isolate
-from .record import PART, Innovations, Record, Recorded, limited, parts_of
+from .record import PART, AnyRecord, Innovations, Record, limited, parts_of
 from .thresholds import JointTolerances
 from .torque_faults import UNKNOWN
 from .verdict import EXTERNAL, NO_DECAY, SAMPLING, BlockStatistics, Diagnosis, external, unknown, violated
@@ -101,7 +101,7 @@ def diagnose(
 class FirstPass:
     """What the parts of a record, which is never in memory as a whole, say before a SecondPass diagnoses it."""
 
-    def __init__(self, record: Recorded[Record], law: TrackingLaw, axes: JointTolerances, size: int = PART) -> None:
+    def __init__(self, record: AnyRecord[Record], law: TrackingLaw, axes: JointTolerances, size: int = PART) -> None:
         """Read a record in parts of `size` states; axes: names, units and tolerances of the joints."""
         self.law, self.axes, self.step, k = law, axes, record.step, len(record)
         self.reference = Visited(law.robot.n, k, CONFIGURATIONS)  # a diverging robot may be anywhere else

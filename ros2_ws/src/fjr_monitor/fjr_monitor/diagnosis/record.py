@@ -56,7 +56,7 @@ class Table:
         return replace(self, **joined)  # type: ignore[type-var]
 
 
-class Recorded(Protocol[Part]):
+class AnyRecord(Protocol[Part]):
     """A record of any length, which is read in parts; a Record is one."""
 
     @property
@@ -69,7 +69,7 @@ class Recorded(Protocol[Part]):
         """Return the states from `start` to `end`, with LEAD states before them."""
 
 
-def parts_of(record: Recorded[Part], size: int = PART) -> Iterator[Part]:
+def parts_of(record: AnyRecord[Part], size: int = PART) -> Iterator[Part]:
     """Yield a record in parts of `size` states."""
     for start in range(0, len(record), size):
         yield record.part(start, min(start + size, len(record)))

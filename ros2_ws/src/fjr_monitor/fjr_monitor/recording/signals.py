@@ -26,6 +26,8 @@ STATES = f"/{names.JOINT_STATES}"
 ANSWERS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
 REFERENCE = names.REFERENCE.replace("~", f"/{CONTROLLER}")
 DIAGNOSTICS, EVENTS = "/diagnostics", f"/{CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
+FIELDS = {STATES: ("position", "velocity", "effort"), REFERENCE: ("position", "velocity")}
+FIELDS |= dict.fromkeys((ANSWERS, EFFORTS), ("effort",))
 SCANNED_MESSAGES = 1000  # for joint names
 TOGETHER = 8192  # states that are decoded at a time
 AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
@@ -164,7 +166,7 @@ class RunSignals:
                 table = bag.table(batch[topic], named[topic])
                 table = self.reader.complete(table) if topic == STATES else table
                 times = {"stamp": table.stamp.view(float), "sent": table.publish_time.view(float)}
-                numbers.add(position=table.position, velocity=table.velocity, effort=table.effort, **times)
+                numbers.add(**{name: getattr(table, name) for name in FIELDS[topic]}, **times)
             for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
                 for status in message.status:
                     self.counters[status.name] = {pair.key: pair.value for pair in status.values}
