@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_msg
 
 from fjr_core.errors import FjrError
-from fjr_monitor.recording.message_types import typestore
+from fjr_monitor.recording.message_types import deserialize, typestore
 from fjr_msgs_py.console.output import plural
 
 Times = NDArray[np.int64]
@@ -98,7 +98,7 @@ class Topic:
             store = typestore()
             if self.type_name not in store.fielddefs:
                 store.register(get_types_from_msg(self.definition, self.type_name))
-            return [store.deserialize_cdr(message.data, self.type_name) for message in messages]
+            return [deserialize(message.data, self.type_name) for message in messages]
         except Exception as error:  # any error of the decoder
             raise BagError(f"{self.name} holds bytes that are not a {self.type_name} ({error})") from error
 

@@ -7,12 +7,14 @@ from the ``.msg`` files of their sourced package.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -27,6 +29,20 @@ class SchemaError(FjrError):
 def typestore() -> Typestore:
     """Return the Jazzy type store, shared by writer and reader; custom types are added on use."""
     return get_typestore(Stores.ROS2_JAZZY)
+
+
+def deserialize(data: bytes, type_name: str) -> Any:
+    """Return a message of a known type; raise SerdeError.
+
+    rclpy's serialize_message, with which nodes in Python write bags, leaves 4 to 12 bytes behind empty sequences.
+    """
+    try:
+        return typestore().deserialize_cdr(data, type_name)
+    except SerdeError as error:
+        for behind in (4, 8, 12):
+            with suppress(SerdeError):
+                return typestore().deserialize_cdr(data[:-behind], type_name)
+        raise error
 
 
 def interface_class(type_name: str) -> Any:
