@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 import yaml
 from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
 from rosbags.highlevel import AnyReader
 
 from fjr_bringup import clients
-from fjr_bringup.clients import PlantClient
+from fjr_bringup.clients import ServiceClient
 from fjr_monitor.recording.bag import read_bag
 from nodes.harness import Listener, Ros
 from system.bags import STORE
@@ -167,7 +168,7 @@ def test_node_that_stands_still_has_not_discovered_new_subscriptions(
     ros: Ros, start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(clients, "RETRY_AFTER", 0.5)
-    client = PlantClient(ros.context, "fjr_plant")
+    client = ServiceClient(ros.add(Node("asking", context=ros.context)), TIME_LIMIT)
     try:
         assert not client.discovered_by("nobody")
         plant = start("plant", "--ros-args", "-p", "start_paused:=true", "-p", "compile:=false")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clients of running nodes: any service, the plant's pause, trajectories. Every wait has a time limit.
+"""Clients of running nodes: any service, trajectories. Every wait has a time limit.
 
 A participant announces its endpoints in the order of their creation. A node that responds to a client has therefore
 discovered everything that this process made before that client. A response is lost if the server has not yet discovered
@@ -15,15 +15,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import QoSProfile
-from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from fjr_core.errors import FjrError
@@ -41,51 +38,18 @@ class ClientError(FjrError):
     """A node is not there, does not respond or refuses."""
 
 
-class _Requests:
-    """Requests of one node of this process."""
+class ServiceClient:
+    """Find services in the ROS graph and call them; every wait ends after `timeout` [s] with a ClientError."""
 
-    def __init__(self, node: Node, stop: threading.Event | None = None) -> None:
-        self._node, self._stop = node, stop or threading.Event()
+    def __init__(self, node: Node, timeout: float, stop: threading.Event | None = None) -> None:
+        """stop: ends every wait, too."""
+        self._node, self._timeout, self._stop = node, timeout, stop or threading.Event()
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
 
     def close(self) -> None:
         """Release the executor."""
         self._executor.shutdown()
-
-    def _response(self, client: Client, request: Any, limit: float) -> Any | None:
-        """Send a request once; return the response, None if there is none within `limit` [s]."""
-        future = client.call_async(request)
-        if self._until(future.done, limit):
-            return future.result()
-        client.remove_pending_request(future)
-        return None
-
-    def _repeated(self, client: Client, request: Any, limit: float) -> Any | None:
-        """Send a request, again if its response is lost; return the response, None after `limit` [s] or if stopped."""
-        end = time.monotonic() + limit
-        while time.monotonic() < end and not self._stop.is_set():
-            response = self._response(client, request, min(RETRY_AFTER, limit))
-            if response is not None:
-                return response
-        return None
-
-    def _until(self, happened: Callable[[], bool], limit: float) -> bool:
-        """Spin until `happened()`; return false after `limit` [s] or if stopped."""
-        end = time.monotonic() + limit
-        while not happened():
-            if time.monotonic() > end or self._stop.is_set():
-                return False
-            self._executor.spin_once(POLL)
-        return True
-
-
-class ServiceClient(_Requests):
-    """Find services in the ROS graph and call them; every wait ends after `timeout` [s] with a ClientError."""
-
-    def __init__(self, node: Node, timeout: float) -> None:
-        super().__init__(node)
-        self._timeout = timeout
 
     def find(self, service: str) -> Client:
         """Return a client of a service given by its full name, of the type that its server has; raise ClientError."""
@@ -100,11 +64,13 @@ class ServiceClient(_Requests):
         return client
 
     def ask(self, client: Client, request: Any) -> Any:
-        """Send a request that changes nothing, again if its response is lost; return the response."""
-        response = self._repeated(client, request, self._timeout)
-        if response is None:
-            raise ClientError(self._silent(client))
-        return response
+        """Send a request that may be repeated, again if its response is lost; return the response."""
+        end = time.monotonic() + self._timeout
+        while time.monotonic() < end and not self._stop.is_set():
+            response = self._response(client, request, min(RETRY_AFTER, self._timeout))
+            if response is not None:
+                return response
+        raise ClientError(self._silent(client))
 
     def call(self, client: Client, request: Any) -> Any:
         """Send a request once, when the server has discovered the client; return the response.
@@ -123,33 +89,6 @@ class ServiceClient(_Requests):
             raise ClientError(f"{self._silent(client)}; whether the request was carried out is not known")
         return response
 
-    def _services(self) -> dict[str, str]:
-        return {name: types[0] for name, types in self._node.get_service_names_and_types()}
-
-    def _silent(self, client: Client) -> str:
-        return f"{client.srv_name} did not respond within {self._timeout:g} s"
-
-
-class PlantClient(_Requests):
-    """Resume a paused plant, and see the ROS graph."""
-
-    def __init__(self, context: Context, plant: str) -> None:
-        super().__init__(
-            rclpy.create_node("fjr_run", context=context, enable_rosout=False, start_parameter_services=False)
-        )
-        self._service = f"/{plant}/pause"
-        self._client = self._node.create_client(SetBool, self._service)
-
-    def published_by(self, node: str) -> list[str]:
-        """Return the topics that a node without a namespace publishes; none while it is not in the graph."""
-        with suppress(NodeNameNonExistentError):
-            return [topic for topic, _ in self._node.get_publisher_names_and_types_by_node(node, "/")]
-        return []
-
-    def ready(self) -> bool:
-        """Return whether the plant's service is available."""
-        return self._client.service_is_ready()
-
     def discovered_by(self, node: str) -> bool:
         """Return whether a node has discovered all subscriptions made in this context so far; waits RETRY_AFTER.
 
@@ -162,27 +101,38 @@ class PlantClient(_Requests):
         finally:
             self._node.destroy_client(client)
 
-    def resume(self) -> None:
-        """Call the service until it responds; raises ClientError if it refuses or does not respond."""
-        answer = self._repeated(self._client, SetBool.Request(data=False), RESPONSE_LIMIT)
-        if answer is None or not answer.success:
-            why = "no response" if answer is None else answer.message
-            raise ClientError(f"{self._service} did not resume the plant: {why}")
+    def _response(self, client: Client, request: Any, limit: float) -> Any | None:
+        """Send a request once; return the response, None if there is none within `limit` [s]."""
+        future = client.call_async(request)
+        if self._until(future.done, limit):
+            return future.result()
+        client.remove_pending_request(future)
+        return None
 
-    def close(self) -> None:
-        """Destroy the node."""
-        super().close()
-        self._node.destroy_node()
+    def _until(self, happened: Callable[[], bool], limit: float) -> bool:
+        """Spin until `happened()`; return false after `limit` [s] or if stopped."""
+        end = time.monotonic() + limit
+        while not happened():
+            if time.monotonic() > end or self._stop.is_set():
+                return False
+            self._executor.spin_once(POLL)
+        return True
+
+    def _services(self) -> dict[str, str]:
+        return {name: types[0] for name, types in self._node.get_service_names_and_types()}
+
+    def _silent(self, client: Client) -> str:
+        return f"{client.srv_name} did not respond within {self._timeout:g} s"
 
 
-class TrajectoryClient(_Requests):
+class TrajectoryClient(ServiceClient):
     """Send trajectories to the controller of a name such as /fjr_controller.
 
     Raises ClientError if the controller does not respond.
     """
 
     def __init__(self, node: Node, controller: str, stop: threading.Event) -> None:
-        super().__init__(node, stop)
+        super().__init__(node, RESPONSE_LIMIT, stop)
         self._controller = controller
         self._events: list[DiagnosticStatus] = []
         node.create_subscription(DiagnosticStatus, f"{controller}/events", self._events.append, QoSProfile(depth=100))
@@ -190,9 +140,7 @@ class TrajectoryClient(_Requests):
         # The client is created last: a controller that responds has discovered publisher and subscription.
         client = node.create_client(GetParameters, f"{controller}/get_parameters")
         self._await(client.service_is_ready, "is not running, or its parameters are not available")
-        found = self._repeated(client, GetParameters.Request(names=["joints"]), RESPONSE_LIMIT)
-        if found is None:
-            raise ClientError(f"{controller} does not respond; expected a running controller")
+        found = self.ask(client, GetParameters.Request(names=["joints"]))
         self.joints = tuple(found.values[0].string_array_value)
 
     def send(self, message: JointTrajectory) -> None:
@@ -209,6 +157,6 @@ class TrajectoryClient(_Requests):
         return [event for event in self._events if event.name == ACCEPTED or event.name.startswith(REFUSED)]
 
     def _await(self, happened: Callable[[], bool], fault: str) -> None:
-        """Spin until `happened()`; raise ClientError after RESPONSE_LIMIT or if stopped."""
-        if not self._until(happened, RESPONSE_LIMIT):
+        """Spin until `happened()`; raise ClientError after the time limit or if stopped."""
+        if not self._until(happened, self._timeout):
             raise ClientError(f"{self._controller} {fault}; expected an active controller")

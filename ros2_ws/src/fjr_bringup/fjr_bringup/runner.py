@@ -18,9 +18,12 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import rclpy
+from rclpy.node import NodeNameNonExistentError
 from rclpy.topic_endpoint_info import TopicEndpointInfo
+from std_srvs.srv import SetBool
 
-from fjr_bringup.clients import PlantClient
+from fjr_bringup.clients import RESPONSE_LIMIT, ServiceClient
 from fjr_bringup.node_process import NodeError, StartedNode
 from fjr_core.config.nodes import CONTROLLER, PLANT
 from fjr_core.errors import FjrError
@@ -112,7 +115,10 @@ class _Run:
     def __init__(self, plan: RunPlan, recorder: Recorder, stop: threading.Event) -> None:
         self.plan, self.recorder, self.stop = plan, recorder, stop
         self.enclave = f"/fjr_run_{os.getpid()}"
-        self.client = PlantClient(recorder.context, PLANT)
+        context = recorder.context
+        self.node = rclpy.create_node("fjr_run", context=context, enable_rosout=False, start_parameter_services=False)
+        self.client = ServiceClient(self.node, RESPONSE_LIMIT)
+        self.pausing = self.node.create_client(SetBool, f"/{PLANT}/pause")
         self.nodes: dict[str, StartedNode] = {}
         self.going = False  # whether the plant was resumed
         self.alone = time.monotonic()  # when no other publisher was in the graph
@@ -127,7 +133,7 @@ class _Run:
             if not self.plan.lockstep:
                 note(f"{self.plan.name}: {self.nodes[CONTROLLER].scheduling()}")
             with prioritised(RECORDER_PRIORITY, beside=True):
-                self.client.resume()
+                self._resume()
                 self._follow()
         except FjrError as error:
             kept = f"\nwhat was recorded is in {self.plan.folder}" if self.going else ""
@@ -138,6 +144,7 @@ class _Run:
                     self.nodes[name].stop()
             with suppress(Exception):
                 self.client.close()
+                self.node.destroy_node()
 
     def _start_nodes(self) -> None:
         """Start plant and controller, and wait until both are connected with each other and with the recorder."""
@@ -155,7 +162,7 @@ class _Run:
 
         self._wait(matched, "plant and controller to find each other")
         self._wait(lambda: not self._refuse_others(PASSING), "other publishers to leave")
-        self._wait(self.client.ready, "the plant's pause service")
+        self._wait(self.pausing.service_is_ready, "the plant's pause service")
 
     def _start(self, node: str, package: str, name: str, *arguments: str) -> None:
         ros = ["--enclave", self.enclave, "--params-file", str(self.plan.folder / "scenario.yaml"), *arguments]
@@ -166,11 +173,11 @@ class _Run:
 
         def unconnected() -> list[str]:
             connected, started = self.recorder.matched, self.nodes
-            published = self.client.published_by(node)
+            published = self._published_by(node)
             return [t for t in published if connected(t) < sum(name in started for name in self._publishers(t))]
 
         def seen() -> str:
-            published, silent = (", ".join(each) for each in (self.client.published_by(node), unconnected()))
+            published, silent = (", ".join(each) for each in (self._published_by(node), unconnected()))
             others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
             return (
                 f"; it publishes {published or 'nothing'}; not connected to {silent or 'none of these'}; "
@@ -179,7 +186,7 @@ class _Run:
 
         def appeared() -> bool:
             alone = not self._refuse_others(PASSING)  # ended ones stay in the graph for their lease
-            return alone and (node, self.enclave) in self._present() and signature in self.client.published_by(node)
+            return alone and (node, self.enclave) in self._present() and signature in self._published_by(node)
 
         for condition, what in (
             (appeared, f"{node} to appear"),
@@ -187,6 +194,18 @@ class _Run:
             (lambda: self.client.discovered_by(node), f"{node} to discover the recorder"),
         ):
             self._wait(condition, what, seen)
+
+    def _resume(self) -> None:
+        """Let the plant run; raises ClientError if it does not respond, RunError if it refuses."""
+        answer = self.client.ask(self.pausing, SetBool.Request(data=False))
+        if not answer.success:
+            raise RunError(f"{self.pausing.srv_name} did not resume the plant: {answer.message}")
+
+    def _published_by(self, node: str) -> list[str]:
+        """Return the topics that a node without a namespace publishes; none while it is not in the graph."""
+        with suppress(NodeNameNonExistentError):
+            return [topic for topic, _ in self.node.get_publisher_names_and_types_by_node(node, "/")]
+        return []
 
     def _present(self) -> list[tuple[str, str]]:
         """Return name and enclave of each node without a namespace."""
