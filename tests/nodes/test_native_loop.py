@@ -116,16 +116,17 @@ def test_the_loop_in_rclpy_reads_the_other_byte_order(ros: Ros, peer: Peer) -> N
 
 def test_a_node_restarts_its_thread_with_each_activation(ros: Ros, peer: Peer) -> None:
     node = ros.controller()
+    loop = loop_of(node)
     for k in (1, 2):
         peer.answer(stamped(k))
         node.trigger_deactivate()
         ros.until(lambda k=k: len(peer.commands) == 2 * k, "the stop effort")
         node.trigger_activate()
         ros.meet()
-    assert loop_of(node)._host.runs
+    assert loop._host.runs
     ros.executor.remove_node(node)
     node.destroy_node()
-    assert not loop_of(node)._host.runs
+    assert not loop._host.runs
 
 
 def test_the_thread_has_short_slices_though_python_steps_back(ros: Ros) -> None:

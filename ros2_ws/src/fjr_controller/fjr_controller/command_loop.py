@@ -182,12 +182,6 @@ class CommandLoop:
         for publisher in self._own:
             self._node.destroy_publisher(publisher)
 
-    def abandon(self) -> None:
-        """Stop serving, and destroy the subscriptions that the node does not know, before the node is destroyed."""
-        self._host.close()
-        if self.active:
-            self._topics.end_search()
-
     # The owner of the controller.
 
     def change(self, what: str, *pointers: Any, time: int = 0) -> None:

@@ -92,18 +92,9 @@ class Control:
     def close(self) -> None:
         """Stop, and destroy everything that was created on the node."""
         self.stop()
-        self.withdraw()
-        for part in (self._command_loop, self.reports, self._certificate):
+        for part in (self._action, self._interface, self._command_loop, self.reports, self._certificate):
             if part is not None:
                 part.close()
-
-    def withdraw(self) -> None:
-        """Destroy action server and trajectory interface, end the native command loop: before the node is destroyed."""
-        self._command_loop.abandon()
-        if self._action is not None:
-            self._action.close()
-            self._action = None
-        self._interface.close()
 
     def change(self, values: dict[str, Any], changed: set[str]) -> None:
         """Apply gains, limits and the built-in reference from the next state on; on a FjrError change nothing."""

@@ -88,9 +88,8 @@ class ControllerNode(ManagedParameterNode):
             self.trigger_shutdown()
 
     def destroy_node(self) -> None:
-        """Destroy the action server first, which rclpy's Node does not."""
-        if self._control is not None:
-            self._control.withdraw()
+        """Destroy the controller first: rclpy's Node knows neither its action server nor its native loop."""
+        self._clean_up()
         super().destroy_node()
 
     def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:

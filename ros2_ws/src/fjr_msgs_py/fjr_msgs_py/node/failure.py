@@ -3,27 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import wraps
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
+from rclpy.task import Future
 
 from fjr_core import FjrError
 
 LONGEST = 500  # characters of a sentence about a request
-
-
-class Process(Protocol):
-    """The process of a node (process.NodeProcess)."""
-
-    def end(self, error: FjrError) -> None:
-        """Stop serving callbacks."""
-
-    def apply_process_settings(self, values: Mapping[str, Any]) -> None:
-        """Apply the process settings of the values; raises ParameterError."""
 
 
 class EndingNode(Node):
@@ -35,21 +26,26 @@ class EndingNode(Node):
     """
 
     values: dict[str, Any]
-    starting: ClassVar[bool] = False
-    """Whether a process builds the node; it then looks at `ended` itself."""
-    host: Process | None = None
-    """The process, if the node has its own."""
+    in_process: ClassVar[bool] = False
+    """Whether process.run runs the node; it then looks at `ended` itself."""
+    host: Any = None
+    """The NodeProcess of the node, if it has one."""
     ended: FjrError | None = None
     """The error that ended the node."""
+    over: Future
+    """Done once the process of the node is to end."""
     unexpected: Exception | None = None
     """The latest exception that is no FjrError, of a message or a request."""
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        self.over = Future()
+        super().__init__(*arguments, **keywords)
 
     def end(self, error: FjrError) -> None:
         """End the node: its process exits with the error, or the error is logged if the node has no process."""
         self.ended = error
-        if self.host is not None:
-            self.host.end(error)
-        elif not self.starting:
+        self.over.set_result(None)
+        if not self.in_process:
             self.get_logger().error(f"ended: {error}")
 
     def stop(self) -> None:

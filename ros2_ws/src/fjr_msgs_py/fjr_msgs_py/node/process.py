@@ -16,7 +16,6 @@ from rclpy.duration import Duration
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
-from rclpy.task import Future
 
 from fjr_core import FjrError
 from fjr_core.config.process import NATIVE, process_settings
@@ -53,9 +52,9 @@ def run(make_node: Callable[[], ParameterNode], args: list[str] | None = None) -
         participant.initialise(args)
         index_modules()
         ParameterNode.process_arguments = sys.argv if args is None else args
-        ParameterNode.starting = True
+        ParameterNode.in_process = True
         node = make_node()
-        host = NodeProcess(node)
+        node.host = NodeProcess(node)
     except (FjrError, *_ROS_ERRORS) as error:
         why = "" if isinstance(error, FjrError) else "ROS 2 refused the arguments or the parameter file: "
         print(f"cannot start: {why}{' '.join(str(error).split())}", file=sys.stderr, flush=True)
@@ -63,36 +62,30 @@ def run(make_node: Callable[[], ParameterNode], args: list[str] | None = None) -
         return 1
     finally:
         ParameterNode.process_arguments = ()
-        ParameterNode.starting = False
         participant.hand_over()
         resume_garbage_collection()
     try:
-        host.spin(stopped)
-        if host.ended is not None:
-            print(f"ended: {host.ended}", file=sys.stderr, flush=True)
+        node.host.spin(stopped)
+        if node.ended is not None:
+            print(f"ended: {node.ended}", file=sys.stderr, flush=True)
     finally:
         try:
             node.stop()
         finally:
             _end(node)
-    return 0 if host.ended is None else 1
+    return 0 if node.ended is None else 1
 
 
 class NodeProcess:
     """The process of a node: its settings, and the loop that serves the callbacks of the node."""
 
-    ended: FjrError | None = None
     _granted = ""
 
     def __init__(self, node: ParameterNode) -> None:
         """Apply the process settings of the node; raises ParameterError."""
         self._node = node
         self._kind = process_settings(node.values).executor
-        self._round: Future = Future()
         self._apply(node.values)
-        node.host = self
-        if node.ended is not None:  # its thread met an error meanwhile
-            self.end(node.ended)
 
     def apply_process_settings(self, values: Mapping[str, Any]) -> None:
         """Apply the process settings of the values after large objects were built; raises ParameterError."""
@@ -110,11 +103,6 @@ class NodeProcess:
         if settings.executor == NATIVE:
             yield_to_loops()
 
-    def end(self, error: FjrError) -> None:
-        """Stop serving callbacks; called from a callback."""
-        self.ended = error
-        self._round.set_result(None)
-
     def spin(self, stopped: list[int]) -> None:
         """Serve callbacks until `stopped` holds a signal or the node has ended.
 
@@ -125,12 +113,12 @@ class NodeProcess:
         executor, spin = self._executor(stopped)
         executor.add_node(self._node)
         try:
-            while not stopped and self.ended is None and rclpy.ok():
+            while not stopped and not self._node.over.done() and rclpy.ok():
                 spin()
         except ExternalShutdownException:
             pass
         except FjrError as error:  # of a callback that the node does not wrap, such as an action's
-            self.ended = error
+            self._node.ended = error
         executor.remove_node(self._node)
 
     def _executor(self, stopped: list[int]) -> tuple[Executor, Callable[[], None]]:
@@ -145,10 +133,10 @@ class NodeProcess:
 
         def look() -> None:
             if stopped or not rclpy.ok():
-                self._round.set_result(None)
+                self._node.over.set_result(None)
 
         self._node.create_timer(POLL, look, clock=STEADY)
-        return events, lambda: events.spin_until_future_complete(self._round, ROUND)
+        return events, lambda: events.spin_until_future_complete(self._node.over, ROUND)
 
 
 def _end(node: ParameterNode | None) -> None:
