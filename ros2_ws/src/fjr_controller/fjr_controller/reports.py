@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import POSITION_JUMP, STARTS_REFUSED, STOPS, Event
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import MessageError, StateReader, deserialised
+from fjr_msgs_py.messages.joint_states import StateReader, deserialised, reason_of
 from fjr_msgs_py.native.loop import LARGEST
 from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.conflicting_publishers import node_of
@@ -110,18 +110,13 @@ class Refusals:
         for kind, count in enumerate(self.pointer.count):
             new = count - self._reported[kind]
             if new and not self._counters[kind]:
-                error = self._reason(bytes(self._ffi.buffer(self._first + kind * LARGEST, self.pointer.size[kind])))
-                self._counters[kind], sentence = refusal("state", error)
+                data = bytes(self._ffi.buffer(self._first + kind * LARGEST, self.pointer.size[kind]))
+                self._counters[kind], sentence = refusal("state", reason_of(data, self._read))
                 self._reports.event(Event("warn", self._counters[kind], sentence))
                 new -= 1
             if new:
                 self._reports.count[self._counters[kind]] += new
             self._reported[kind] = count
 
-    def _reason(self, data: bytes) -> MessageError:
-        """Return the error with which the reader refuses the message."""
-        try:
-            self._reader.read(deserialised(data, JointState))
-        except MessageError as error:
-            return error
-        return MessageError("not a message", f"{len(data)} bytes are no JointState; expected one")
+    def _read(self, data: bytes) -> None:
+        self._reader.read(deserialised(data, JointState))

@@ -12,8 +12,7 @@ from rclpy.node import Node
 
 from fjr_core import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr import LITTLE_ENDIAN
-from fjr_msgs_py.messages.joint_states import MessageError
+from fjr_msgs_py.messages.joint_states import reason_of
 from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, RclpyHost, Ring
 from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.reports import Health, refusal
@@ -68,24 +67,13 @@ class Events:
             if event == self._lib.FJR_COUNTED:
                 self._health.tell(COUNTERS[value], UNWANTED[COUNTERS[value]])
             elif event == self._lib.FJR_COMMAND_REFUSED:
-                self._health.tell(*refusal("command", self._refusal(value, bytes(self._ffi.buffer(data, size)))))
+                self._health.tell(*refusal("command", reason_of(bytes(self._ffi.buffer(data, size)), self._read)))
             else:
                 self._others[event](value)
         except FjrError as error:
             self.error = error
             return 1
         return 0
-
-    def _refusal(self, reading: int, data: bytes) -> MessageError:
-        """Return the reason of a refused message as Python states it."""
-        try:
-            self._read(data)
-        except MessageError as error:
-            return error
-        if data[:2] == LITTLE_ENDIAN[:2]:
-            return MessageError(REFUSALS[reading], "the message is invalid")
-        seen, wanted = (header[:2].hex(" ") for header in (data, LITTLE_ENDIAN))
-        return MessageError(REFUSALS[reading], f"its CDR header is {seen}; expected {wanted}, little-endian")
 
 
 NOTES, NOTES_PERIOD = 16, 0.05  # events that wait for Python, at most; s

@@ -6,7 +6,7 @@ The native loops read the same messages in C (cdr.c), which counts what it refus
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.measurement_model import JointSample
 
 from ..names import state_names
-from .cdr import Form
+from .cdr import LITTLE_ENDIAN, Form
 
 SECOND = 1_000_000_000  # ns
 OR_OBSERVED = ", or the parameter measurement.velocity set to observer"
@@ -52,6 +52,18 @@ def deserialised(data: bytes, kind: type) -> Any:
         return deserialize_message(data, kind)
     except rclpy_implementation.RMWError:
         raise MessageError("not a message", f"{len(data)} bytes are no {kind.__name__}; expected one") from None
+
+
+def reason_of(data: bytes, read: Callable[[bytes], object]) -> MessageError:
+    """Return why a serialised message was refused by C: the error of its reader in Python."""
+    try:
+        read(data)
+    except MessageError as error:
+        return error
+    if data[:2] == LITTLE_ENDIAN[:2]:
+        return MessageError("not a message", f"{len(data)} bytes are no message of this topic; expected one")
+    seen, wanted = (header[:2].hex(" ") for header in (data, LITTLE_ENDIAN))
+    return MessageError("not a message", f"its CDR header is {seen}; expected {wanted}, little-endian")
 
 
 def picked(message: JointState, field: str, wanted: Sequence[str]) -> Array:
