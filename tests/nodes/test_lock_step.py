@@ -267,6 +267,8 @@ def test_divergence_during_an_advance_ends_the_node_with_a_response(ros: Ros, pe
     assert isinstance(node.ended, StateError)
     assert not response.success
     assert response.message.startswith("ended after ")
+    assert str(node.ended).startswith("the state of the robot is not finite after ")
+    assert all(np.isfinite(state.position).all() for state in peer.states)
     time = node._robot.time
     peer.call(SetBool, "fjr_plant/pause", data=False)
     ros.settle()

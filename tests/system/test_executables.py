@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from std_msgs.msg import Float64MultiArray
 
 from fjr_msgs_py.console.ending import Exit
 from nodes.harness import Peer, Ros, stamped
@@ -95,26 +94,6 @@ def test_a_node_without_messages_has_ordinary_scheduling_no_scipy_and_ends_by_a_
     assert policies(executable.process.pid) == {os.SCHED_OTHER, os.SCHED_BATCH}  # the loop, and Python beside it
     assert "/scipy/" not in Path(f"/proc/{executable.process.pid}/maps").read_text()  # it would double the start
     ended_by(executable, signal.SIGTERM if node == "plant" else signal.SIGINT)
-
-
-def test_a_plant_that_diverges_ends_with_one_sentence(ros: Ros, start: Start) -> None:
-    peer = Peer(ros)
-    plant = start("plant")
-    ros.until(lambda: peer.states and peer.effort_publisher.get_subscription_count() >= 2, "a state")
-
-    def ended_by_efforts() -> bool:
-        peer.effort_publisher.publish(Float64MultiArray(data=[1e308]))
-        return plant.process.poll() is not None
-
-    ros.until(ended_by_efforts, "the end of the plant")
-    code, said = plant.end()
-    assert code == 1
-    ended = [line for line in said.splitlines() if "not finite" in line]
-    assert len(ended) == 1, said
-    assert ended[0].startswith("ended: the state of the robot is not finite after ")
-    assert "Traceback" not in said
-    assert "FATAL" not in said
-    assert all(np.isfinite(state.position).all() for state in peer.states)
 
 
 MIXED = "/**:\n  ros__parameters:\n    robot:\n      joint_stiffness: [1, 2.0]\n"
