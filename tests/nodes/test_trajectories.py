@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 import fjr_core as fjr
 from fjr_controller.planner import LONG, PlanningProblem
-from fjr_msgs_py.messages.trajectories import TrajectoryReader, trajectory_message
+from fjr_msgs_py.messages.trajectories import read_trajectory, trajectory_message
 from fjr_msgs_py.names import state_names
 from nodes.harness import Ros, Stranger, stamped
 from nodes.managed import Manager, trajectory
@@ -41,7 +41,7 @@ def test_a_written_message_is_read_back_with_its_joints_in_another_order() -> No
     rows = np.arange(18.0).reshape(3, 3, 2)
     rows[1, -1] = 0.0
     message = trajectory_message(TWO[::-1], np.array([0.5, 1.25, 2.000000001]), *rows)
-    waypoints = TrajectoryReader(TWO).read(message)
+    waypoints = read_trajectory(message, TWO)
     assert waypoints.times.tolist() == [SECOND // 2, 5 * SECOND // 4, 2 * SECOND + 1]
     assert waypoints.start is None
     for found, row in zip((waypoints.positions, waypoints.velocities, waypoints.accelerations), rows, strict=True):
@@ -87,7 +87,7 @@ def test_an_invalid_message_is_refused_in_one_sentence_and_changes_nothing(ros: 
 
 
 def test_a_last_velocity_that_is_zero_in_single_precision_is_zero() -> None:
-    waypoints = TrajectoryReader(("joint1",)).read(trajectory((1.0, 0.0), velocities=[1e-8]))
+    waypoints = read_trajectory(trajectory((1.0, 0.0), velocities=[1e-8]), ("joint1",))
     assert waypoints.velocities.tolist() == [[0.0]]
 
 

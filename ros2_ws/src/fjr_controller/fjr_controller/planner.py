@@ -26,7 +26,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import State
 from fjr_msgs_py.messages.joint_states import SECOND, MessageError, deserialised, nanoseconds
-from fjr_msgs_py.messages.trajectories import TrajectoryReader
+from fjr_msgs_py.messages.trajectories import TrajectoryPoints, read_trajectory
 from fjr_msgs_py.node.scheduling import step_back
 
 ATTEMPTS = 5
@@ -54,11 +54,15 @@ Outcome = TrajectoryPlan | FjrError | None
 
 @dataclass(frozen=True, eq=False)
 class PlanningRules:
-    """Joints, limits of the motion, and the reader of the messages."""
+    """Joints, limits of the motion, and whether a trajectory may name some of the joints only."""
 
     joints: tuple[str, ...]
     limits: MotionLimits
-    reader: TrajectoryReader
+    allow_partial: bool
+
+    def read(self, message: JointTrajectory) -> TrajectoryPoints:
+        """Return the waypoints of a message; raises MessageError."""
+        return read_trajectory(message, self.joints, self.allow_partial)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,7 @@ class PlanningProblem:
     def outcome(self) -> TrajectoryPlan | Exception:
         """Return the plan, or the error: a FjrError if the trajectory of the message cannot be tracked."""
         try:
-            waypoints = self.rules.reader.read(self.request.message).upcoming(self.request.now).upcoming(self.begin)
+            waypoints = self.rules.read(self.request.message).upcoming(self.request.now).upcoming(self.begin)
             waypoints = waypoints.completed(self.jets[0])
             times, start = waypoints.times / SECOND, waypoints.start
             assert start is not None
@@ -155,7 +159,7 @@ class Planner:
             try:
                 now = self.newest()
                 if not message.points:
-                    self.rules.reader.read(message)
+                    self.rules.read(message)
             except FjrError as error:
                 on_done(error)
                 return

@@ -16,7 +16,6 @@ from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import Event, State
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError
-from fjr_msgs_py.messages.trajectories import TrajectoryReader
 from fjr_msgs_py.node.participant import SeparateSubscription
 
 from .planner import Outcome, Planner, PlanningRules, TrajectoryPlan
@@ -61,7 +60,7 @@ class TrajectoryInterface:
         allow_partial: accept trajectories that do not name every joint.
         """
         self._limits, self._join_time = limits, join_time
-        self.planner.rules = PlanningRules(self._joints, limits, TrajectoryReader(self._joints, allow_partial))
+        self.planner.rules = PlanningRules(self._joints, limits, allow_partial)
 
     def follow(
         self, message: JointTrajectory, reason: str, on_done: Callable[[TrajectoryPlan | None], object] = lambda _: None

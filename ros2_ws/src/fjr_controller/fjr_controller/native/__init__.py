@@ -10,12 +10,6 @@ from fjr_core.numerics.jit import CLibrary
 from fjr_core.runtime import library
 from fjr_msgs_py.native.program import Program
 
-FUNCTIONS = (
-    *("step", "check_wiring", "silence", "stop_effort", "start", "apply", "use_gains", "follow", "hold", "resume"),
-    *("certify", "certificate_restart", "observe_torque", "is_due", "waits_until"),
-)
-"""Fields of struct fjr_step_functions: functions of step.h without the prefix fjr_."""
-
 
 @cache
 def controller_program(n: int, memory: int) -> Program:
@@ -25,6 +19,8 @@ def controller_program(n: int, memory: int) -> Program:
 
 
 def step_functions(program: Program, step: CLibrary) -> dict[str, Any]:
-    """Return the functions of the step as fields of struct fjr_step_functions."""
-    functions = {name: step.ffi.addressof(step.lib, f"fjr_{name}") for name in FUNCTIONS}
-    return program.cast("struct fjr_step_functions", functions)
+    """Return the fields of struct fjr_step_functions: functions of step.h without the prefix fjr_."""
+    names = dict(program.ffi.typeof("struct fjr_step_functions").fields)
+    return program.cast(
+        "struct fjr_step_functions", {name: step.ffi.addressof(step.lib, f"fjr_{name}") for name in names}
+    )

@@ -86,73 +86,58 @@ def trajectory_message(
     return message
 
 
-class TrajectoryReader:
-    """Reader of JointTrajectories for the joints of a robot; allow_partial: accept some of the joints."""
+def read_trajectory(message: JointTrajectory, joints: Sequence[str], allow_partial: bool = False) -> TrajectoryPoints:
+    """Return the waypoints of a message for the joints of a robot; raises MessageError if it is invalid.
 
-    def __init__(self, joints: Sequence[str], allow_partial: bool = False) -> None:
-        self._joints = list(joints)
-        self._allow_partial = allow_partial
+    allow_partial: accept some of the joints.
+    """
+    stamp = nanoseconds(message.header.stamp)
+    if stamp < 0:
+        raise MessageError("bad times", f"header.stamp is {stamp} ns; expected zero, for now, or a time")
+    names, n, points = list(message.joint_names), len(joints), message.points
+    if not points:
+        return TrajectoryPoints(stamp or None, np.empty(0, np.int64), np.empty((0, n)), None, None, np.ones(n, bool))
+    _check_names(names, list(joints), allow_partial)
+    times = _times(points)
+    for i, point in enumerate(points):
+        if len(point.effort):
+            raise MessageError("efforts", f"point {i} has efforts; expected positions, velocities and accelerations")
+    given = ["positions", *(field for field in ("velocities", "accelerations") if _is_given(points, field))]
+    rows = {field: _rows(points, field, names) for field in given}
+    if "velocities" in given:
+        _stop_at_end(rows["velocities"], names)
+    elif "accelerations" in given:
+        raise MessageError("wrong lengths", "the points have accelerations without velocities; expected both")
+    spread = {field: np.full((len(points), n), np.nan) for field in given}
+    for field, values in rows.items():
+        spread[field][:, [list(joints).index(name) for name in names]] = values
+    velocities, accelerations = spread.get("velocities"), spread.get("accelerations")
+    moves = np.isin(joints, names)
+    return TrajectoryPoints(stamp or None, times, spread["positions"], velocities, accelerations, moves)
 
-    def read(self, message: JointTrajectory) -> TrajectoryPoints:
-        """Return the waypoints of the message; raises MessageError if it is invalid."""
-        stamp = nanoseconds(message.header.stamp)
-        if stamp < 0:
-            raise MessageError("bad times", f"header.stamp is {stamp} ns; expected zero, for now, or a time")
-        names = list(message.joint_names)
-        n, points = len(self._joints), message.points
-        if not points:
-            return TrajectoryPoints(
-                stamp or None, np.empty(0, np.int64), np.empty((0, n)), None, None, np.ones(n, bool)
-            )
-        self._check_names(names)
-        times = _times(points)
-        for i, point in enumerate(points):
-            if len(point.effort):
-                sentence = f"point {i} has efforts; expected positions, velocities and accelerations"
-                raise MessageError("efforts", sentence)
-        columns = np.array([self._joints.index(name) for name in names])
-        positions = self._spread(_rows(points, "positions", names), columns)
-        velocities = self._optional(points, "velocities", names, columns)
-        accelerations = self._optional(points, "accelerations", names, columns)
-        if velocities is None and accelerations is not None:
-            raise MessageError("wrong lengths", "the points have accelerations without velocities; expected both")
-        moves = np.zeros(n, bool)
-        moves[columns] = True
-        return TrajectoryPoints(stamp or None, times, positions, velocities, accelerations, moves)
 
-    def _check_names(self, names: list[str]) -> None:
-        unknown = [name for name in names if name not in self._joints]
-        if unknown or not names:
-            raise MessageError("unknown joints", f"joint_names are {names}; expected some of {self._joints}")
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise MessageError("duplicate joints", f"joint_names are {names}; expected {twice} only once")
-        missing = [name for name in self._joints if name not in names]
-        if missing and not self._allow_partial:
-            raise MessageError(
-                "partial joints",
-                f"joint_names are {names}; expected {missing} too, or the parameter allow_partial_joints",
-            )
+def _check_names(names: list[str], joints: list[str], allow_partial: bool) -> None:
+    unknown = [name for name in names if name not in joints]
+    if unknown or not names:
+        raise MessageError("unknown joints", f"joint_names are {names}; expected some of {joints}")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise MessageError("duplicate joints", f"joint_names are {names}; expected {twice} only once")
+    missing = [name for name in joints if name not in names]
+    if missing and not allow_partial:
+        raise MessageError(
+            "partial joints",
+            f"joint_names are {names}; expected {missing} too, or the parameter allow_partial_joints",
+        )
 
-    def _optional(
-        self, points: Sequence[JointTrajectoryPoint], field: str, names: list[str], columns: NDArray[np.int64]
-    ) -> Array | None:
-        given = [bool(len(getattr(point, field))) for point in points]
-        if not any(given):
-            return None
-        if not all(given):
-            i = given.index(False)
-            raise MessageError("wrong lengths", f"point {i} has no {field}, others have; expected all or none")
-        rows = _rows(points, field, names)
-        if field == "velocities":
-            _stop_at_end(rows, names)
-        return self._spread(rows, columns)
 
-    def _spread(self, rows: Array, columns: NDArray[np.int64]) -> Array:
-        """Reorder rows (k, m) of the message to (k, n) of the robot, NaN for joints without a value."""
-        spread = np.full((len(rows), len(self._joints)), np.nan)
-        spread[:, columns] = rows
-        return spread
+def _is_given(points: Sequence[JointTrajectoryPoint], field: str) -> bool:
+    """Return whether the points have a field; raise MessageError if only some of them do."""
+    given = [bool(len(getattr(point, field))) for point in points]
+    if any(given) and not all(given):
+        i = given.index(False)
+        raise MessageError("wrong lengths", f"point {i} has no {field}, others have; expected all or none")
+    return any(given)
 
 
 def _times(points: Sequence[JointTrajectoryPoint]) -> NDArray[np.int64]:
