@@ -20,7 +20,7 @@ from fjr_controller.controller_node import SUCCESS, ControllerNode
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import parse_scenario
 from fjr_core.robust.law import RobustLaw
-from fjr_msgs_py.node.command_line import parameter_rules
+from fjr_msgs_py.node.parameters import parameter_rules
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Peer, Ros, stamped
 from nodes.managed import Manager

@@ -168,7 +168,8 @@ def test_node_that_stands_still_has_not_discovered_new_subscriptions(
     ros: Ros, start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(clients, "RETRY_AFTER", 0.5)
-    client = ServiceClient(ros.add(Node("asking", context=ros.context)), TIME_LIMIT)
+    node = Node("asking", context=ros.context)
+    client = ServiceClient(node, TIME_LIMIT)
     try:
         assert not client.discovered_by("nobody")
         plant = start("plant", "--ros-args", "-p", "start_paused:=true", "-p", "compile:=false")
@@ -179,6 +180,7 @@ def test_node_that_stands_still_has_not_discovered_new_subscriptions(
         wait_for(lambda: client.discovered_by("fjr_plant"), "the answer of the plant after its pause")
     finally:
         client.close()
+        node.destroy_node()
 
 
 # A motion that is sent; test_real_time.py shows that it is tracked.

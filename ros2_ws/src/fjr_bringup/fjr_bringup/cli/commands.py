@@ -85,7 +85,7 @@ def call(**given: Any) -> Any:
 
     REQUEST holds the fields of the request as YAML, e.g. "{data: true}", or the value of the only field.
     """
-    return implementation("fjr_bringup.cli.services").call_service(**given)
+    return implementation("fjr_bringup.cli.running_nodes").call_service(**given)
 
 
 @command("set", context_settings={"ignore_unknown_options": True})  # such as -0.5
@@ -99,7 +99,7 @@ def set_parameter(**given: Any) -> Any:
 
     VALUE is YAML of the type that the node declares, e.g. 0.05 or "[0.1, 0.2]".
     """
-    return implementation("fjr_bringup.cli.services").set_value(**given)
+    return implementation("fjr_bringup.cli.running_nodes").set_value(**given)
 
 
 @command()
@@ -112,7 +112,7 @@ def lifecycle(**given: Any) -> Any:
 
     TRANSITION is configure, activate, deactivate, cleanup or shutdown; without it the state is printed.
     """
-    return implementation("fjr_bringup.cli.services").change_state(**given)
+    return implementation("fjr_bringup.cli.running_nodes").change_state(**given)
 
 
 @command()
@@ -133,4 +133,4 @@ def send(**given: Any) -> Any:
 
     FILE is CSV or Parquet with the columns time [s] and each joint. The motion is smoothed, see docs/references.md.
     """
-    return implementation("fjr_bringup.cli.send").send_motion(**given)
+    return implementation("fjr_bringup.cli.running_nodes").send_motion(**given)

@@ -33,14 +33,6 @@ class Provenance:
         return Provenance(**{name: str(text) for name, text in texts.items()}) if all(texts.values()) else None
 
 
-@dataclass
-class _Command:
-    """The command that this process carries out."""
-
-    arguments: Sequence[str]
-    begin: datetime
-
-
 def _now() -> datetime:
     """Return the time of EPOCH; the present one if that is not set or no date."""
     try:
@@ -49,20 +41,23 @@ def _now() -> datetime:
         return datetime.now(timezone.utc)
 
 
-_command = _Command([Path(sys.argv[0]).name, *sys.argv[1:]], _now())
+_command: tuple[Sequence[str], datetime] = [Path(sys.argv[0]).name, *sys.argv[1:]], _now()
+"""Arguments and begin of the command that this process carries out."""
 
 
 def begin_command(arguments: Sequence[str]) -> None:
     """Store command line and time for `provenance`; arguments: the program's name first."""
-    _command.arguments, _command.begin = list(arguments), _now()
+    global _command
+    _command = list(arguments), _now()
 
 
 def provenance() -> Provenance:
     """Return the origin of what the present command writes; the date is that of its start."""
     from fjr_core.version import __version__  # here, because fjr_core loads slowly and begin_command is called first
 
-    date = _command.begin.strftime("%Y-%m-%d %H:%M UTC")
-    return Provenance(date, f"fjr {__version__}", without_home(shlex.join(_command.arguments)), machine())
+    arguments, begin = _command
+    date = begin.strftime("%Y-%m-%d %H:%M UTC")
+    return Provenance(date, f"fjr {__version__}", without_home(shlex.join(arguments)), machine())
 
 
 def without_home(text: str) -> str:
