@@ -158,7 +158,7 @@ class Driver(Bare):
         texts = {kind: Path(__file__).with_name(f"driver.{kind}").read_text(encoding="utf-8") for kind in "hc"}
         program = Program("bench_driver", [texts["h"]], [texts["c"]])
         ffi, n = program.ffi, 2 * len(JOINTS)
-        self._message = NativeMessage(program, joint_state(names.state_names(JOINTS), (n, n, n)), (n, n, n))
+        self._message = NativeMessage(program, joint_state(names.state_names(JOINTS), (n, n, n)))
         position = np.array(self.get_parameter("position").value)
         program.lib.fjr_put_numbers(self._message.pointer, 0, ffi.from_buffer("double[]", position))
         self._struct = ffi.new(

@@ -141,7 +141,7 @@ def test_messages_written_in_place_are_those_of_rclpy_and_have_no_byte_more(join
         (float_array(dim.label, n), (n,), array),
         (CLOCK_LAYOUT, (), clock),
     ):
-        native = NativeMessage(program(), form, counts)
+        native = NativeMessage(program(), form)
         if message is not array:
             lib.fjr_put_stamp(native.pointer, time)
         for k, length in enumerate(counts):

@@ -44,7 +44,7 @@ class Echo:
         self.subscription = NativeSubscription(self.node, JointState, "states", LATEST)
         self.publisher = self.node.create_publisher(JointState, "answers", LATEST)
         self.reader, self.ring = NativeReader(program(), NAMES, 4), Ring(program(), "int64_t", CAPACITY)
-        self.answer = NativeMessage(program(), joint_state(NAMES, (0, 0, 2)), (0, 0, 2))
+        self.answer = NativeMessage(program(), joint_state(NAMES, (0, 0, 2)))
         self.state = ffi.new("struct echo*")
         echo = {f"on_{name}": ffi.addressof(lib, f"echo_{name}") for name in ("message", "tick", "request", "end")}
         self.loop = NativeLoop(program(), {"self": self.state, **echo}, [self.subscription])

@@ -164,8 +164,8 @@ def test_the_loading_module_imports_no_heavy_package() -> None:
 def test_what_is_loaded_meanwhile_is_exempt_from_garbage_collection() -> None:
     code = """
 import gc
-from fjr_msgs_py.node.loading import pause_garbage_collection, resume_garbage_collection
-pause_garbage_collection()
+from fjr_msgs_py.node.loading import prepare, resume_garbage_collection
+prepare("loading")
 paused = not gc.isenabled()
 import json
 resume_garbage_collection()
@@ -202,7 +202,7 @@ def health(ros: Ros) -> Health:
 @pytest.mark.parametrize(("level", "word"), [("warn", "[WARN]"), ("error", "[ERROR]")])
 def test_an_event_is_logged_once_at_its_level(health: Health, capfd: pytest.CaptureFixture[str], level, word) -> None:
     for _ in range(3):
-        getattr(health, level)("falls", "it fell")
+        health.note(level, "falls", "it fell")
     (line,) = [line for line in capfd.readouterr().err.splitlines() if "it fell" in line]
     assert line.startswith(word)
     assert health.count["falls"] == 3

@@ -60,7 +60,7 @@ class LiveCertificate:
         self._diagnosis = OnlineDiagnosis(law, limits, self._intervals, axes)
         self._latency, self._name = Latency(), f"{names.full_name(node)}: certificate"
         self.publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.sample_qos(node))
-        self._message = NativeMessage(program, float_array(",".join(LABELS), len(LABELS)), (len(LABELS),))
+        self._message = NativeMessage(program, float_array(",".join(LABELS), len(LABELS)))
         certificate, prediction = Certificate(law).function, Prediction(law).function
         functions = {"certify": certificate, "predict": prediction, "law": law.measured_function}
         self._struct = CertificateStruct(program.ffi, functions, law, LONGEST_JUDGED)

@@ -75,15 +75,14 @@ class CommandLoop:
         reader = StateReader(joints, measurement)
         fields = 0b001 | (0b100 if measurement.by_torque else 0) | (0 if measurement.observed else 0b010)
         self._reader = NativeReader(program, reader.names, fields)
-        efforts, moving = (0, 0, n), (n, n, 0)
-        self._messages = {
-            "effort": NativeMessage(program, float_array(",".join(joints), n), (n,)),
-            "command": NativeMessage(program, joint_state(joints, efforts), efforts),
-            "reference": NativeMessage(program, joint_state(joints, moving), moving),
-            "error": NativeMessage(program, joint_state(joints, moving), moving),
-            "torque": NativeMessage(program, joint_state(joints, efforts), efforts),
-            "contact": NativeMessage(program, joint_state(names.contact_names(joints), (0, 0, 2 * n)), (0, 0, 2 * n)),
+        efforts, moving = joint_state(joints, (0, 0, n)), joint_state(joints, (n, n, 0))
+        forms = {
+            "effort": float_array(",".join(joints), n),
+            **dict.fromkeys(("command", "torque"), efforts),
+            **dict.fromkeys(("reference", "error"), moving),
+            "contact": joint_state(names.contact_names(joints), (0, 0, 2 * n)),
         }
+        self._messages = {name: NativeMessage(program, form) for name, form in forms.items()}
         self._observer = TorqueObserverStruct(program.ffi, contact_observer(node.values, step.law.robot))
         self._refusals, self._ring = Refusals(program, reader, reports), Ring(program, "struct fjr_record", RECORDS)
         shared = {"model": step.model, "controller": self._controller, "copy": step.controller}
@@ -257,10 +256,11 @@ class CommandLoop:
                 break
         if self._ring.lost > self._lost:
             self._lost = self._ring.lost
-            self._reports.warn(LOST, "samples were not reported: the process of the node has too little time")
+            self._reports.note("warn", LOST, "samples were not reported: the process of the node has too little time")
             self._reports.count[LOST] = self._lost
         if self._simulated and self._struct.answered > TIMELESS and not self._node.get_clock().now().nanoseconds:
-            self._reports.tell(NO_CLOCK, "use_sim_time is true, but no time comes on /clock: silences are not noticed")
+            sentence = "use_sim_time is true, but no time comes on /clock: silences are not noticed"
+            self._reports.say("warn", NO_CLOCK, sentence)
         self._reports.count[RECEIVED] = self._struct.received
         self._reports.count[ANSWERED] = self._struct.answered
         self._reports.publish_events()

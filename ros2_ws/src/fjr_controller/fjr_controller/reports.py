@@ -54,21 +54,13 @@ class Reports(Health):
         """Publish an event, and count and log it by its level and kind."""
         if event.kind.startswith((STARTS_REFUSED, STOPS, TRAJECTORY_REFUSED)):
             self._logged.discard(event.kind)
-        if event.level == "info":
-            self.count[event.kind] += 1
-            if self.is_new(event.kind):
-                self._node.get_logger().info(event.sentence)
-        elif event.level == "error":
-            self.error(event.kind, event.sentence)
-        else:
-            self.warn(event.kind, event.sentence)
+        self.note(event.level, event.kind, event.sentence)
         values = dict(event.values) if event.stamp is None else {**event.values, STAMP: event.stamp}
         self._events.publish(event.level, event.kind, event.sentence, values)
 
     def announce(self, kind: str, sentence: str) -> None:
         """Publish an event that is not counted, and log it the first time."""
-        if self.is_new(kind):
-            self._node.get_logger().info(sentence)
+        self.say("info", kind, sentence)
         self._events.publish("info", kind, sentence)
 
     def publish_events(self) -> None:

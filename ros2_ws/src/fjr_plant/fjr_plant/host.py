@@ -65,9 +65,10 @@ class Events:
     def _on_event(self, event: int, value: int, data: Any, size: int) -> int:
         try:
             if event == self._lib.FJR_COUNTED:
-                self._health.tell(COUNTERS[value], UNWANTED[COUNTERS[value]])
+                self._health.say("warn", COUNTERS[value], UNWANTED[COUNTERS[value]])
             elif event == self._lib.FJR_COMMAND_REFUSED:
-                self._health.tell(*refusal("command", reason_of(bytes(self._ffi.buffer(data, size)), self._read)))
+                error = reason_of(bytes(self._ffi.buffer(data, size)), self._read)
+                self._health.say("warn", *refusal("command", error))
             else:
                 self._others[event](value)
         except FjrError as error:

@@ -63,7 +63,7 @@ class ClockOwner(ConflictingPublishers):
         if not established or now <= self._settled:
             self.refuse_others(ahead_of=self._shown() + 1 if established else 0)
         elif self.appeared():
-            self._health.error(OTHERS, self._sentence("has begun to publish"))
+            self._health.note("error", OTHERS, self._sentence("has begun to publish"))
 
     def _sentence(self, acts: str) -> str:
         topic, space = self._node.resolve_topic_name(names.CLOCK), self._node.get_namespace().rstrip("/")
@@ -97,7 +97,7 @@ class LockStep(TimeBase):
         plant.timeout = round(node.values["lockstep_timeout"] * 1e9)
         self._clock = ClockOwner(node, health, lambda: int(plant.shown))
         self._publishers += self._clock.publishers
-        self._clock_message = NativeMessage(self._program, CLOCK_LAYOUT, ())
+        self._clock_message = NativeMessage(self._program, CLOCK_LAYOUT)
         self._answer = NativeReader(self._program, node.values["joints"], _EFFORT)
         plant.clock, plant.answer = self._clock_message.pointer, self._answer.pointer
         self._serve()

@@ -140,7 +140,7 @@ class PlantNode(ParameterNode):
         try:
             torque = read_torques(message, self.values["joints"])
         except MessageError as error:
-            self._health.warn(*refusal("external torque", error))
+            self._health.note("warn", *refusal("external torque", error))
             return
         self._health.count[TORQUES] += 1
         self._time_base.change(lambda: setattr(self._robot, "external", torque))

@@ -120,7 +120,7 @@ class TimeBase(ABC):
         self._pointers = [program.array(each) for each in self._arrays]
         named = names.state_names(values["joints"])
         lengths = ((2 * n, 0, 2 * n), (2 * n, 2 * n, 2 * n))
-        self._messages = [NativeMessage(program, joint_state(named, each), each) for each in lengths]
+        self._messages = [NativeMessage(program, joint_state(named, each)) for each in lengths]
         plant = ffi.new("struct fjr_plant*")
         plant.robot, transport = self._robot.pointer, self._transport
         plant.states, plant.commands = transport.states.pointer, transport.commands.pointer
@@ -137,8 +137,7 @@ class TimeBase(ABC):
     def _show_contact(self) -> None:
         """Publish what the obstacle does to the arm while they touch: torques on the joints, and the wrench."""
         named = (*self._node.values["joints"], *names.WRENCH)
-        lengths = (0, 0, len(named))
-        self._messages.append(NativeMessage(self._program, joint_state(named, lengths), lengths))
+        self._messages.append(NativeMessage(self._program, joint_state(named, (0, 0, len(named)))))
         self.plant.contact = self._messages[-1].pointer
         self._publishers[1] = self._node.create_publisher(JointState, names.CONTACT, names.HISTORY)
 
@@ -280,8 +279,7 @@ class TimeBase(ABC):
 
     def _on_moving(self) -> None:
         sentence = f"moving: the first {self.first} has arrived"
-        if self._health.is_new(sentence):
-            self._node.get_logger().info(sentence)
+        self._health.say("info", sentence, sentence)
 
 
 class RealTime(TimeBase):

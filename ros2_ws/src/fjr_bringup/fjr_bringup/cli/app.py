@@ -18,14 +18,7 @@ from fjr_msgs_py.console.ending import HELP, Exit, in_own_session, interruptible
 from fjr_msgs_py.console.options import COMMANDS
 from fjr_msgs_py.console.output import tell
 from fjr_msgs_py.console.provenance import begin_command
-from fjr_msgs_py.node.loading import (
-    ament_index_of_wheels,
-    end_on_signals,
-    pause_garbage_collection,
-    require_resources,
-    resume_garbage_collection,
-    without_blas_threads,
-)
+from fjr_msgs_py.node.loading import prepare, resume_garbage_collection
 
 ALL = "fjr.all_commands"
 """Key of a context whose help shows all commands."""
@@ -54,11 +47,9 @@ def declared() -> dict[str, click.Command]:
 
 def program() -> int:
     """Run the executable `fjr`: main() with handlers for SIGINT and SIGTERM from the first instruction on."""
-    end_on_signals(Exit.INTERRUPTED)
-    require_resources("fjr")
+    prepare("fjr", Exit.INTERRUPTED)
     if sys.argv[1:2] in RECORDING and (code := in_own_session()) is not None:
         return code
-    pause_garbage_collection()
     try:
         return main(loaded=_loaded)
     finally:
@@ -75,8 +66,6 @@ def main(arguments: Sequence[str] | None = None, loaded: Callable[[], None] = la
 
     arguments: default sys.argv[1:]. loaded: called when the modules of the command are imported.
     """
-    without_blas_threads()
-    ament_index_of_wheels()
     begin_command(["fjr", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return int(fjr.main(arguments, prog_name="fjr", standalone_mode=False, obj=loaded) or Exit.DONE)

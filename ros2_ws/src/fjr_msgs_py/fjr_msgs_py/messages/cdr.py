@@ -37,14 +37,15 @@ class Form:
     """Layout of a serialised message.
 
     empty: the message with all numbers zero. starts: of each Floats, in words of 8 bytes from HEADER bytes before the
-    message. spans: bytes of the message that hold its header, integers, lengths and strings; others are numbers or
-    padding, which other writers leave as it is in memory.
+    message; lengths: numbers of each. spans: bytes of the message that hold its header, integers, lengths and strings;
+    others are numbers or padding, which other writers leave as it is in memory.
     """
 
     def __init__(self, parts: Iterable[Part]) -> None:
         """Lay out the parts."""
         data, self.spans = bytearray(LITTLE_ENDIAN), [slice(HEADER)]
         self.starts: list[int] = []
+        self.lengths: list[int] = []
         for part in parts:
             text = part.encode(errors="replace") + b"\0" if isinstance(part, str) else b""
             count = part if isinstance(part, int) else part.length if isinstance(part, Floats) else len(text)
@@ -54,6 +55,7 @@ class Form:
             if isinstance(part, Floats):
                 data += bytes((HEADER - len(data)) % 8 if count else 0)
                 self.starts.append((HEADER + len(data)) // 8)
+                self.lengths.append(count)
                 data += bytes(8 * count)
         self.empty = bytes(data)
 

@@ -70,8 +70,7 @@ class NativeSubscription:
 class NativeMessage:
     """A serialised message as struct fjr_message; `pointer` is valid as long as the object lives."""
 
-    def __init__(self, program: Program, form: Form, lengths: Sequence[int]) -> None:
-        """Lay out a message; lengths: of its sequences of numbers."""
+    def __init__(self, program: Program, form: Form) -> None:
         ffi = program.ffi
         self._buffer = bytearray(HEADER) + form.empty
         self._view = ffi.from_buffer(self._buffer)
@@ -82,7 +81,7 @@ class NativeMessage:
                 "bytes": ffi.cast("uint8_t*", self._view) + HEADER,
                 "size": len(self._buffer) - HEADER,
                 "at": offsets,
-                "length": list(lengths),
+                "length": form.lengths,
             },
         )
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.errors import CompilerError
-from fjr_core.numerics.jit import c_library
+from fjr_core.numerics.jit import CLibrary, c_library
 
 COMMON, THREAD = ("clock", "ring", "cdr"), ("loop", "graph")
 """Parts of every program, in the order in which they are included; those of THREAD need the headers of ROS 2."""
@@ -31,7 +31,7 @@ class Program:
     """
 
     without_thread = ""
-    """Why a program of a package has no native thread; "" if it has."""
+    """Why the program has no native thread, so that rclpy's executor runs its functions; "" if it has one."""
 
     def __init__(
         self,
@@ -40,37 +40,29 @@ class Program:
         sources: Sequence[str],
         values: Mapping[str, int] | None = None,
         base: str = "",
-        thread: bool = True,
     ) -> None:
         """Build the library from the texts of headers and sources, or find it in the cache.
 
         values: macros that are numbers. base: C text that comes before the headers. Types of `ffi` are its own: `cast`
-        makes them of pointers to the same types of another library. thread: with THREAD; raise NativeError if that
-        cannot be built. Else raise CompilerError without a C compiler.
+        makes them of pointers to the same types of another library. Raises CompilerError without a C compiler.
         """
         declared = [_FEATURES, base, *(_text(f"{part}.h") for part in (*COMMON, *THREAD)), *headers]
-        defined = [*(_text(f"{part}.c") for part in (*COMMON, *(THREAD if thread else ()))), *sources]
-        options = [*WARNINGS, *(ros_options() if thread else ())]
+
+        def built(parts: Sequence[str], options: Sequence[str]) -> CLibrary:
+            defined = [*(_text(f"{part}.c") for part in parts), *sources]
+            return c_library(name, "\n".join(declared), "\n".join(defined), values or {}, [*WARNINGS, *options])
+
         try:
-            self.ffi, self.lib, _ = c_library(name, "\n".join(declared), "\n".join(defined), values or {}, options)
-        except (CompilerError, OSError) as error:
-            if not thread:
-                raise
-            raise NativeError(str(error)) from None
+            self.ffi, self.lib, _ = built((*COMMON, *THREAD), ros_options())
+        except (NativeError, CompilerError, OSError) as error:
+            self.without_thread = str(error)
+            self.ffi, self.lib, _ = built(COMMON, ())
 
     @classmethod
     def of(cls, package: str, files: Sequence[str], values: Mapping[str, int] | None = None, base: str = "") -> Program:
-        """Build C files, headers and sources, of the folder native of a package.
-
-        Where the thread cannot be built they are built without it, for rclpy's executor alone; see `without_thread`.
-        """
+        """Build C files, headers and sources, of the folder native of a package."""
         headers, sources = ([_text(file, package) for file in files if file.endswith(kind)] for kind in (".h", ".c"))
-        try:
-            return cls(package, headers, sources, values, base)
-        except NativeError as error:
-            found = cls(package, headers, sources, values, base, thread=False)
-            found.without_thread = str(error)
-            return found
+        return cls(package, headers, sources, values, base)
 
     def array(self, values: np.ndarray) -> Any:
         """Return a pointer to the numbers of a contiguous array; it keeps the array alive."""

@@ -36,16 +36,6 @@ def require_resources(program: str) -> None:
             sys.exit(1)
 
 
-def without_blas_threads() -> None:
-    """Limit NumPy's linear algebra to one thread, unless the environment sets a number; more threads only add delay."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-
-def pause_garbage_collection() -> None:
-    """Load without garbage collection: modules are no garbage, and looking for it takes a quarter of the start."""
-    gc.disable()
-
-
 def resume_garbage_collection() -> None:
     """Exempt what is loaded from garbage collection, also when the process ends, and collect from now on."""
     gc.freeze()
@@ -75,7 +65,7 @@ def ament_index_of_wheels() -> None:
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-def end_on_signals(code: int = 0) -> None:
+def end_on_signals(code: int) -> None:
     """Exit at once with `code` on SIGINT or SIGTERM, while nothing needs a shutdown yet.
 
     Unblocks the signals that the installed executables block while Python starts (scripts/ in each package).
@@ -86,14 +76,18 @@ def end_on_signals(code: int = 0) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
-def prepare(program: str) -> None:
-    """Set up the process of a node's executable: signal handlers, limits, name, garbage, threads, packages."""
-    end_on_signals()
+def prepare(program: str, interrupted: int = 0) -> None:
+    """Set up the process of an executable: signals, limits, name, garbage, threads, packages.
+
+    interrupted: exit code after a signal. Garbage is not collected until `resume_garbage_collection`: modules are no
+    garbage, and looking for it takes a quarter of the start.
+    """
+    end_on_signals(interrupted)
     require_resources(program)
     with suppress(OSError), open("/proc/self/comm", "w", encoding="ascii") as comm:
         comm.write(program)  # which ps, top and killall show in place of the interpreter (Linux)
-    pause_garbage_collection()
-    without_blas_threads()
+    gc.disable()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads of NumPy's linear algebra only add delay
     ament_index_of_wheels()
 
 

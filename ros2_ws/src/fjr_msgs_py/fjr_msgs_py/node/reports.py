@@ -138,28 +138,24 @@ class Health:
         """Report counters that are kept elsewhere; they only grow."""
         self._counters.append(counters)
 
-    def warn(self, kind: str, sentence: str) -> None:
-        """Count an unwanted event; log the sentence as a warning the first time that this kind occurs."""
+    def note(self, level: str, kind: str, sentence: str) -> None:
+        """Count an event of level info, warn or error, which makes the status ERROR, and `say` it."""
         self.count[kind] += 1
-        self.tell(kind, sentence)
+        if level == "error":
+            self._errors.add(kind)
+        self.say(level, kind, sentence)
 
-    def tell(self, kind: str, sentence: str) -> None:
-        """Log a sentence as a warning the first time that this kind occurs."""
-        if self.is_new(kind):
-            self._node.get_logger().warning(sentence)
-
-    def error(self, kind: str, sentence: str) -> None:
-        """Count an event that makes the status ERROR; log the sentence as an error the first time."""
-        self._errors.add(kind)
-        self.count[kind] += 1
-        if self.is_new(kind):
-            self._node.get_logger().error(sentence)
-
-    def is_new(self, kind: str) -> bool:
-        """Return True at the first call with this kind."""
-        new = kind not in self._logged
+    def say(self, level: str, kind: str, sentence: str) -> None:
+        """Log a sentence at a level the first time that this kind occurs."""
+        if kind not in self._logged:
+            log = self._node.get_logger()  # which lets no line of code have two levels
+            if level == "error":
+                log.error(sentence)
+            elif level == "warn":
+                log.warning(sentence)
+            else:
+                log.info(sentence)
         self._logged.add(kind)
-        return new
 
     def value(self, key: str, text: str) -> None:
         """Report a value in addition to the counters, from the next report on."""
