@@ -175,9 +175,10 @@ class CommandLoop:
         self._topics.close()
 
     def close(self) -> None:
-        """Destroy all subscriptions and publishers."""
-        self.stop()
+        """Destroy all subscriptions and publishers; an active loop sends nothing more."""
         self._host.close()
+        if self.active:
+            self._topics.close()
         for publisher in self._own:
             self._node.destroy_publisher(publisher)
 

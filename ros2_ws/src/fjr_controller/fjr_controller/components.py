@@ -92,6 +92,10 @@ class Control:
     def close(self) -> None:
         """Stop, and destroy everything that was created on the node."""
         self.stop()
+        self.destroy()
+
+    def destroy(self) -> None:
+        """Destroy everything that was created on the node, without a last effort."""
         for part in (self._action, self._interface, self._command_loop, self.reports, self._certificate):
             if part is not None:
                 part.close()

@@ -89,7 +89,9 @@ class ControllerNode(ManagedParameterNode):
 
     def destroy_node(self) -> None:
         """Destroy the controller first: rclpy's Node knows neither its action server nor its native loop."""
-        self._clean_up()
+        if self._control is not None:
+            self._control.destroy()
+        self._control = None
         super().destroy_node()
 
     def on_configure(self, _: LifecycleState) -> TransitionCallbackReturn:
