@@ -47,7 +47,7 @@ class ControllerNode(ManagedParameterNode):
 
     def may_wait(self) -> bool:
         """Return True if invalid parameters may be corrected while the node runs: without autostart."""
-        return self.given("autostart", True) is False
+        return self._given.get("autostart", True) is False
 
     def is_open(self) -> bool:
         """Return True if every parameter may change."""

@@ -45,11 +45,11 @@ class Events:
     error: FjrError | None = None
 
     def __init__(
-        self, program: Any, health: Health, read: Callable[[bytes], None], others: Mapping[int, Callable[[int], None]]
+        self, program: Any, health: Health, read: Callable[[bytes], None], on: dict[int, Callable[[int], None]]
     ) -> None:
-        """read: reads a serialised command and raises MessageError; others: handlers by enum fjr_event, with value."""
+        """read: reads a serialised command and raises MessageError; on: other handlers by enum fjr_event, with value."""
         self._ffi, self._lib, self._health = program.ffi, program.lib, health
-        self._read, self._others = read, others
+        self._read, self.on = read, on
         declared = "int(int32_t, int64_t, const uint8_t*, size_t)"
         self.notify = self._ffi.callback(declared, self._on_event, error=1)
 
@@ -70,7 +70,7 @@ class Events:
                 error = reason_of(bytes(self._ffi.buffer(data, size)), self._read)
                 self._health.say("warn", *refusal("command", error))
             else:
-                self._others[event](value)
+                self.on[event](value)
         except FjrError as error:
             self.error = error
             return 1

@@ -20,7 +20,7 @@ from fjr_msgs_py.node.reports import Health
 
 from .channel import Transport
 from .simulated_robot import SimulatedRobot
-from .time_base import WATCH_PERIOD, TimeBase, seconds
+from .time_base import TimeBase, seconds
 
 OTHERS = "other clocks"
 LOOK_PERIOD = 0.5  # s between checks of the graph
@@ -44,7 +44,7 @@ class ClockOwner(ConflictingPublishers):
         """shown: returns the time that was published last [ns]."""
         super().__init__(node, {names.CLOCK: ClockMessage}, names.HISTORY)
         self._health, self._shown = health, shown
-        self._settled, self._next_look = time.monotonic() + SETTLING, 0.0
+        self._settled = time.monotonic() + SETTLING
         self.refuse_others()
 
     def refuse_others(self, ahead_of: int = 0) -> None:
@@ -55,12 +55,8 @@ class ClockOwner(ConflictingPublishers):
             raise ClockError(self._sentence("publishes"))
 
     def look(self, established: bool) -> None:
-        """Check twice per second for other publishers; raises ClockError unless established."""
-        now = time.monotonic()
-        if now < self._next_look:
-            return
-        self._next_look = now + LOOK_PERIOD
-        if not established or now <= self._settled:
+        """Check for other publishers; raises ClockError unless established."""
+        if not established or time.monotonic() <= self._settled:
             self.refuse_others(ahead_of=self._shown() + 1 if established else 0)
         elif self.appeared():
             self._health.note("error", OTHERS, self._sentence("has begun to publish"))
@@ -97,11 +93,12 @@ class LockStep(TimeBase):
         plant.timeout = round(node.values["lockstep_timeout"] * 1e9)
         self._clock = ClockOwner(node, health, lambda: int(plant.shown))
         self._publishers += self._clock.publishers
+        self._events.on[self._lib.FJR_FIRST_ANSWER] = lambda _: self._clock.refuse_others()
         self._clock_message = NativeMessage(self._program, CLOCK_LAYOUT)
         self._answer = NativeReader(self._program, node.values["joints"], _EFFORT)
         plant.clock, plant.answer = self._clock_message.pointer, self._answer.pointer
         self._serve()
-        node.create_timer(WATCH_PERIOD, self._look, clock=names.STEADY)
+        node.create_timer(LOOK_PERIOD, self._look, clock=names.STEADY)
         self._call("restart")
         self.host.start()
 
@@ -113,9 +110,6 @@ class LockStep(TimeBase):
     def _look(self) -> None:
         """Check for another owner of the time, between two messages, as it listens on /clock; raises ClockError."""
         self.host.run(lambda: self._clock.look(established=bool(self.plant.heard)))
-
-    def _on_first_answer(self) -> None:
-        self._clock.refuse_others()
 
     def _read(self, data: bytes) -> None:
         picked(deserialised(data, JointState), "effort", self._node.values["joints"])

@@ -104,7 +104,6 @@ class TimeBase(ABC):
             self._lib.FJR_MOVING: lambda _: self._on_moving(),
             self._lib.FJR_ADVANCED: lambda _: self.end_advance(True, ""),
             self._lib.FJR_SECOND: self._health.at,
-            self._lib.FJR_FIRST_ANSWER: lambda _: self._on_first_answer(),
         }
         self._events = Events(self._program, self._health, lambda data: self._read(data), others)
         self.plant = self._built()
@@ -269,9 +268,6 @@ class TimeBase(ABC):
         node = self._node
         if node.ended is None and not self._raised:
             node.end(self._error_of(self.plant.fault, reason))
-
-    def _on_first_answer(self) -> None:  # noqa: B027  # in lock-step only
-        """Check that the first command may be accepted; raises FjrError."""
 
     @abstractmethod
     def _read(self, data: bytes) -> None:

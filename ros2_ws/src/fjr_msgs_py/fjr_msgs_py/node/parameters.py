@@ -141,10 +141,6 @@ class ParameterNode(EndingNode):
     def changed(self, values: dict[str, Any], names: set[str]) -> None:
         """Apply the complete new values, of which `names` were set; an FjrError rejects all of them."""
 
-    def given(self, name: str, default: Any) -> Any:
-        """Return a parameter as given, unchecked."""
-        return self._given.get(name, default)
-
     def get_parameter_type(self, name: str) -> int:
         """Return the type of a parameter as a number; rclpy's Node returns an Enum for a name that is not declared."""
         found = super().get_parameter_type(name)
@@ -298,10 +294,11 @@ def parameter_rules(arguments: Sequence[str]) -> Iterator[ParameterRule]:
     inside, flag = False, ""
     for argument in arguments:
         if flag in _FLAGS:
-            rule = _rule(argument)
-            flag = ""
-            if rule is not None:
-                yield rule
+            flag, (target, separator, value) = "", argument.partition(":=")
+            node, _, name = target.rpartition(":")
+            with suppress(ParameterError):
+                if separator:
+                    yield ParameterRule(node, name, ros_yaml.parse(value), argument)
         elif argument in ("--ros-args", "--"):
             inside = argument == "--ros-args"
         elif inside:
@@ -341,12 +338,3 @@ def overruled(arguments: Sequence[str], node: str, values: Mapping[str, Any]) ->
 def same_value(one: Any, other: Any) -> bool:
     """Return True if two parameter values are equal in type and value; nan equals nan."""
     return repr(plain(one)) == repr(plain(other))
-
-
-def _rule(text: str) -> ParameterRule | None:
-    name, separator, value = text.partition(":=")
-    node, _, name = name.rpartition(":")
-    try:
-        return ParameterRule(node, name, ros_yaml.parse(value), text) if separator else None
-    except ParameterError:
-        return None
