@@ -51,7 +51,7 @@ LAYERS = {
     ),
     "fjr_controller": (
         "native reports",
-        "command_topics certificate planner",
+        "certificate planner",
         "host trajectory_interface",
         "command_loop follow_action",
         "components",

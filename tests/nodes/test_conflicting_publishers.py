@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fjr_controller.command_topics import TOPICS, CommandConflictError
+from fjr_controller.command_loop import TOPICS, CommandConflictError
 from fjr_msgs_py.names import LATEST
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 from fjr_plant import lock_step as clock_owner

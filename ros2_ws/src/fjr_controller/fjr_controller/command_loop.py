@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command loop of an active controller: a JointState in, an effort out, in the C of native/controller_loop.c."""
+"""The command loop of an active controller: a JointState in, an effort out, in the C of native/controller_loop.c.
+
+The command topics have one owner: another process that commands the robot is looked for before and after the start.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
 from fjr_core import FjrError, Measurement
 from fjr_core.config.controller import auxiliary_period, contact_observer
 from fjr_core.config.process import NATIVE, process_settings
 from fjr_core.monitoring.external_torque import TorqueObserverStruct
 from fjr_core.runtime.control_step import Command, ControlStep
-from fjr_core.runtime.events import STATES, State, joints_of
+from fjr_core.runtime.events import STATES, Event, State, joints_of
 from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array, joint_state
@@ -26,9 +31,9 @@ from fjr_msgs_py.messages.joint_states import SECOND, StateReader
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader, Ring
 from fjr_msgs_py.native.program import NativeError
 from fjr_msgs_py.node import process
+from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 
 from .certificate import LiveCertificate
-from .command_topics import CommandConflictError, CommandTopics
 from .host import NativeControllerHost, RclpyControllerHost
 from .native import controller_program, step_functions
 from .reports import ANSWERED, RECEIVED, Refusals, Reports
@@ -41,12 +46,62 @@ LOST, NO_CLOCK = "samples not reported", "no clock"
 AT_ONCE = 1024  # records between two callbacks of other parts of the node
 TIMELESS = 200  # answered states, after which simulated time must have begun
 IN_PYTHON = "the law or the observer is evaluated in Python (compile is false, or a law of one's own)"
+TOPICS = {names.EFFORT_COMMANDS: Float64MultiArray, names.JOINT_COMMANDS: JointState}
+CONFLICTS = "other controllers"
+ALONE = "expected nobody else to command the robot"
+LOOK_PERIOD = 0.5  # s
 
 Listener = Callable[[JointSample, Command], None]
 
 
 class LoopError(FjrError):
     """The command loop has ended by itself."""
+
+
+class CommandConflictError(FjrError):
+    """Another process publishes on a command topic."""
+
+
+class CommandTopics(ConflictingPublishers):
+    """The publishers of both command topics (efforts, commands), and the search for conflicting ones.
+
+    The search takes place at the start, before the first command and every LOOK_PERIOD after it. A conflict before the
+    first command is an error; a later one is reported.
+    """
+
+    def __init__(self, node: Node, reports: Reports) -> None:
+        """Create the publishers; raise CommandConflictError if another process publishes on a command topic."""
+        super().__init__(node, TOPICS, names.sample_qos(node))
+        self._reports, self._alone = reports, False
+        self._timer = node.create_timer(LOOK_PERIOD, self._look, clock=names.STEADY)
+        try:
+            self.check_alone()
+        except CommandConflictError:
+            self.close()
+            raise
+
+    def check_alone(self) -> None:
+        """Raise CommandConflictError if a publisher that has appeared is not silent, as that of a killed node is."""
+        heard = self.heard() if self.appeared() else None
+        if heard:
+            raise CommandConflictError(f"{self.named(heard[0])} publishes on {heard[0]}; {ALONE}")
+
+    def end_search(self) -> None:
+        """Destroy the subscriptions of the search, which the node does not know; from now on conflicts are reported."""
+        self._alone = True
+        self.trust()
+
+    def close(self) -> None:
+        """Destroy publishers, subscriptions and timer."""
+        self._node.destroy_timer(self._timer)
+        super().close()
+
+    def _look(self) -> None:
+        topics = self.appeared() if self._alone else ()
+        if topics:
+            named = self.named(*topics)
+            sentence = f"{named} has begun to publish on {' and '.join(topics)}; {ALONE}"
+            self._reports.event(Event("error", CONFLICTS, sentence, {"nodes": named}))
 
 
 class CommandLoop:

@@ -28,8 +28,7 @@ from fjr_msgs_py.messages.trajectories import follow_messages
 from fjr_msgs_py.node.reports import EventWriter
 
 from .certificate import LiveCertificate
-from .command_loop import CommandLoop
-from .command_topics import CommandConflictError
+from .command_loop import CommandConflictError, CommandLoop
 from .follow_action import FollowAction, Tolerances, tolerances
 from .reports import Reports
 from .trajectory_interface import TrajectoryInterface

@@ -20,7 +20,7 @@ from fjr_msgs_py.node import participant, process
 from fjr_msgs_py.node.parameters import ManagedParameterNode
 from fjr_msgs_py.node.reports import EventWriter
 
-from .command_topics import CONFLICTS, CommandConflictError
+from .command_loop import CONFLICTS, CommandConflictError
 from .components import Control
 
 SUCCESS, FAILURE, ERROR = (getattr(TransitionCallbackReturn, name) for name in ("SUCCESS", "FAILURE", "ERROR"))

@@ -14,8 +14,7 @@ from sensor_msgs.msg import JointState
 from fjr_msgs_py import names
 from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, RclpyHost
 from fjr_msgs_py.native.program import Program
-
-from .command_topics import CommandTopics
+from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
 
 BIG_ENDIAN = b"\x00"
 """Second byte of a serialised message (CDR) in the other byte order, which the C does not read."""
@@ -47,7 +46,7 @@ class NativeControllerHost(NativeLoop):
             program.ffi.addressof(program.lib, f"fjr_{name}") for name in ("loop_publish", "loop_pause", "has_others")
         )
 
-    def serve(self, topics: CommandTopics, priority: int) -> None:
+    def serve(self, topics: ConflictingPublishers, priority: int) -> None:
         """Start the thread, at this SCHED_FIFO priority if the system allows it; topics: of the commands."""
         self._struct.known = topics.known(self._program)
         self.start(priority)
@@ -83,7 +82,7 @@ class RclpyControllerHost(RclpyHost):
         )
         loop.publish, (loop.pause, loop.has_others) = self.publish, self._called
 
-    def serve(self, topics: CommandTopics, _: int) -> None:
+    def serve(self, topics: ConflictingPublishers, _: int) -> None:
         """Begin to serve, as NativeControllerHost.serve; the executor has the priority of its process."""
         self._topics = topics
         self.runs, self.reason = True, ""

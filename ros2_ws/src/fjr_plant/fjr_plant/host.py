@@ -47,7 +47,7 @@ class Events:
     def __init__(
         self, program: Any, health: Health, read: Callable[[bytes], None], on: dict[int, Callable[[int], None]]
     ) -> None:
-        """read: reads a serialised command and raises MessageError; on: other handlers by enum fjr_event, with value."""
+        """read: reads a serialised command and raises MessageError; on: handlers by enum fjr_event, with value."""
         self._ffi, self._lib, self._health = program.ffi, program.lib, health
         self._read, self.on = read, on
         declared = "int(int32_t, int64_t, const uint8_t*, size_t)"

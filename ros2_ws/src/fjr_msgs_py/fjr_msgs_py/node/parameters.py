@@ -22,8 +22,8 @@ from fjr_core.config.nodes import OwnParameters, is_of_others, names_of_others, 
 from fjr_core.config.parameter import Parameter, Value, refuse_unknown, unread_options
 
 from ..messages.plain import plain
-from .failure import LONGEST, EndingNode
 from .participant import exchange_as_processes_do
+from .process import LONGEST, EndingNode
 
 _TYPES = {
     bool: ParameterType.PARAMETER_BOOL,
@@ -89,8 +89,6 @@ class ParameterNode(EndingNode):
     _parameters_by_name: Mapping[str, Parameter] = {}
     fault: ParameterError | None = None
     """The error in the parameters of a node that waits for valid ones."""
-    process_arguments: ClassVar[Sequence[str]] = ()
-    """The command line of the process, if rclpy.init received it."""
 
     def __init__(self, name: str, own: OwnParameters, **node_kwargs: Any) -> None:
         """Declare the parameters and `build` the node.
