@@ -13,7 +13,7 @@ from rclpy.action import ActionClient
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 import fjr_controller.components as control
-from fjr_controller.follow_action import Code, Tolerances, TrackedGoal, tolerances
+from fjr_controller.follow_action import Code, Tolerances, tolerances
 from fjr_core.model.robot import REVOLUTE
 from fjr_msgs_py.messages.trajectories import FollowMessages
 from nodes.harness import Ros, stamped
@@ -149,6 +149,7 @@ SECOND = 10**9
 JOINTS = ("a", "b")
 UNITS = (REVOLUTE, REVOLUTE)
 VALUES = {
+    "joints": JOINTS,
     "constraints.trajectory": (0.1, 0.0),
     "constraints.goal": (0.02, 0.02),
     "constraints.stopped_velocity_tolerance": 0.01,
@@ -158,8 +159,7 @@ VALUES = {
 
 def code_of(t: float, q: tuple[float, float], dq: tuple[float, float] = (0.0, 0.0), **other: object) -> Code | None:
     """Return the code for errors at t [s] of a goal of 1 s."""
-    goal = TrackedGoal(JOINTS, SECOND, tolerances({**VALUES, **other}, UNITS))
-    outcome = goal.check(round(t * SECOND), np.array(q), np.array(dq))
+    outcome = tolerances({**VALUES, **other}, UNITS).outcome(round((t - 1) * SECOND), np.array([q, dq]))
     return None if outcome is None else outcome.code
 
 
@@ -182,7 +182,7 @@ def test_a_goal_ends_by_its_tolerances(t, q, dq, code) -> None:
 
 def test_goal_without_a_goal_time_stays_active_and_an_outcome_names_joint_error_and_tolerance() -> None:
     assert code_of(100.0, (0.03, 0.0), **{"constraints.goal_time": 0.0}) is None
-    outcome = TrackedGoal(JOINTS, SECOND, tolerances(VALUES, UNITS)).check(0, np.array([0.25, 0.0]), np.zeros(2))
+    outcome = tolerances(VALUES, UNITS).outcome(-SECOND, np.array([[0.25, 0.0], [0.0, 0.0]]))
     assert outcome is not None
     assert outcome.sentence == "on the path, a is off by 0.25 rad; expected at most 0.1"
 
@@ -193,11 +193,11 @@ def test_a_goal_overrides_tolerances_zero_keeps_and_negative_removes_them() -> N
 
     before = tolerances(VALUES, UNITS)
     path = [entry("b", 0.3, 0.4), entry("nobody", 1.0, 1.0)]
-    after = before.overridden(JOINTS, path, [entry("a", 0.0, -1.0)], -1.0)
-    assert (after.path.tolist(), after.path_velocity.tolist()) == ([0.1, 0.3], [0.0, 0.4])
-    assert (after.goal.tolist(), after.goal_velocity.tolist()) == ([0.02, 0.02], [0.0, 0.01])
+    after = before.overridden(path, [entry("a", 0.0, -1.0)], -1.0)
+    assert after.path.tolist() == [[0.1, 0.3], [0.0, 0.4]]
+    assert after.goal.tolist() == [[0.02, 0.02], [0.0, 0.01]]
     assert after.goal_time == 0.0
-    assert before.path.tolist() == [0.1, 0.0]
+    assert before.path.tolist() == [[0.1, 0.0], [0.0, 0.0]]
     assert isinstance(after, Tolerances)
 
 

@@ -158,10 +158,9 @@ class Control:
 
     def _create_action(self, node: Node, allowed: Tolerances) -> FollowAction | None:
         """Return the action server, or None if its messages are not installed."""
-        joints = self._values["joints"]
-        messages = follow_messages(joints)
+        messages = follow_messages(self._values["joints"])
         if messages is None:
             return None
-        action = FollowAction(node, joints, self._interface, allowed, messages)
+        action = FollowAction(node, self._interface, allowed, messages)
         self._command_loop.add_listener(action.on_command, lambda: action.has_goal)
         return action

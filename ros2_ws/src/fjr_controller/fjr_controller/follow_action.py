@@ -8,7 +8,7 @@ holds its position; after a stop it does so from ~/resume on.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -51,37 +51,54 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Tolerances:
-    """Largest errors of position [rad] and velocity [rad/s], on the path and at the goal, each (n,); 0: no limit.
+    """Largest errors of position [rad] and velocity [rad/s], (2, n), on the path and at the goal; 0: no limit.
 
-    goal_time [s]: time after the last point within which the goal must be reached; 0: no limit. units: of each joint.
+    goal_time [s]: time after the last point within which the goal must be reached; 0: no limit.
     """
 
-    path: Array
-    path_velocity: Array
-    goal: Array
-    goal_velocity: Array
-    goal_time: float
+    joints: tuple[str, ...]
     units: tuple[Units, ...]
+    path: Array
+    goal: Array
+    goal_time: float
 
-    def overridden(
-        self,
-        joints: Sequence[str],
-        path: Iterable[Any],
-        goal: Iterable[Any],
-        goal_time: float,
-    ) -> Tolerances:
+    def overridden(self, path: Iterable[Any], goal: Iterable[Any], goal_time: float) -> Tolerances:
         """Return these tolerances with those that a goal requests; unknown joints are ignored.
 
         path, goal: control_msgs/JointTolerance, in which 0 keeps a tolerance and a negative number removes it.
         """
-        new = {name: getattr(self, name).copy() for name in ("path", "path_velocity", "goal", "goal_velocity")}
-        for where, entries in (("path", path), ("goal", goal)):
+        on_path, at_goal = self.path.copy(), self.goal.copy()
+        for largest, entries in ((on_path, path), (at_goal, goal)):
             for entry in entries:
-                if entry.name in joints:
-                    j = joints.index(entry.name)
-                    new[where][j] = _override(entry.position, new[where][j])
-                    new[f"{where}_velocity"][j] = _override(entry.velocity, new[f"{where}_velocity"][j])
-        return replace(self, **new, goal_time=_override(goal_time, self.goal_time))
+                if entry.name in self.joints:
+                    j = self.joints.index(entry.name)
+                    for kind, asked in enumerate((entry.position, entry.velocity)):
+                        largest[kind, j] = _override(asked, largest[kind, j])
+        return replace(self, path=on_path, goal=at_goal, goal_time=_override(goal_time, self.goal_time))
+
+    def outcome(self, late: float, errors: Array) -> Outcome | None:
+        """Return the outcome of a goal, None while it is active.
+
+        late [ns]: time since its last point; errors (2, n): of position and velocity.
+        """
+        if late < 0:
+            violation = self._violation(errors, self.path)
+            return Outcome(Code.PATH_TOLERANCE_VIOLATED, f"on the path, {violation}") if violation else None
+        violation = self._violation(errors, self.goal)
+        if not violation:
+            return Outcome(Code.SUCCESSFUL, "the goal is reached")
+        if self.goal_time and late > self.goal_time * 1e9:
+            return Outcome(Code.GOAL_TOLERANCE_VIOLATED, f"{self.goal_time:g} s after the last point, {violation}")
+        return None
+
+    def _violation(self, errors: Array, largest: Array) -> str:
+        """Describe the violated tolerance (2, n), of position before velocity; return "" if none is violated."""
+        over = np.argwhere((largest > 0) & ~(np.abs(errors) <= largest))
+        if not len(over):
+            return ""
+        kind, j = over[0]
+        unit = getattr(self.units[j], ("position", "velocity")[kind])
+        return f"{self.joints[j]} is off by {errors[kind, j]:.3g} {unit}; expected at most {largest[kind, j]:g}"
 
 
 def tolerances(values: Mapping[str, Any], units: tuple[Units, ...]) -> Tolerances:
@@ -89,39 +106,8 @@ def tolerances(values: Mapping[str, Any], units: tuple[Units, ...]) -> Tolerance
     n = len(units)
     path, goal = (vector(values, f"constraints.{name}", n) for name in ("trajectory", "goal"))
     stopped = np.full(n, values["constraints.stopped_velocity_tolerance"])
-    return Tolerances(path, np.zeros(n), goal, stopped, values["constraints.goal_time"], units)
-
-
-@dataclass(frozen=True, eq=False)
-class TrackedGoal:
-    """A trajectory to be tracked until the stamp `end` [ns], within tolerances."""
-
-    joints: tuple[str, ...]
-    end: float
-    tolerances: Tolerances
-
-    def check(self, stamp: int, q_tilde_l: Array, dq_tilde_l: Array) -> Outcome | None:
-        """Return the outcome for errors (n,) [rad], [rad/s] at the stamp [ns]; None while the goal is active."""
-        t = self.tolerances
-        if stamp < self.end:
-            violation = self._violation(q_tilde_l, dq_tilde_l, t.path, t.path_velocity)
-            return Outcome(Code.PATH_TOLERANCE_VIOLATED, f"on the path, {violation}") if violation else None
-        violation = self._violation(q_tilde_l, dq_tilde_l, t.goal, t.goal_velocity)
-        if not violation:
-            return Outcome(Code.SUCCESSFUL, "the goal is reached")
-        if t.goal_time and stamp - self.end > t.goal_time * 1e9:
-            return Outcome(Code.GOAL_TOLERANCE_VIOLATED, f"{t.goal_time:g} s after the last point, {violation}")
-        return None
-
-    def _violation(self, q_tilde_l: Array, dq_tilde_l: Array, position: Array, velocity: Array) -> str:
-        """Describe the violated tolerance (n,), of position before velocity; return "" if none is violated."""
-        for quantity, errors, largest in (("position", q_tilde_l, position), ("velocity", dq_tilde_l, velocity)):
-            over = np.flatnonzero((largest > 0) & ~(np.abs(errors) <= largest))
-            if over.size:
-                j = int(over[0])
-                unit = getattr(self.tolerances.units[j], quantity)
-                return f"{self.joints[j]} is off by {errors[j]:.3g} {unit}; expected at most {largest[j]:g}"
-        return ""
+    limits = np.stack([path, np.zeros(n)]), np.stack([goal, stopped])
+    return Tolerances(tuple(values["joints"]), units, *limits, values["constraints.goal_time"])
 
 
 def _override(value: float, default: float) -> float:
@@ -137,12 +123,11 @@ class FollowAction:
     def __init__(
         self,
         node: Node,
-        joints: Sequence[str],
         interface: TrajectoryInterface,
         tolerances: Tolerances,
         messages: FollowMessages,
     ) -> None:
-        self._node, self._joints, self._interface = node, tuple(joints), interface
+        self._node, self._interface = node, interface
         self._tolerances, self._messages = tolerances, messages
         self._plan: TrajectoryPlan | None = None
         self._handle: Any = None
@@ -170,9 +155,8 @@ class FollowAction:
             self._interface.hold()  # ~/resume must not continue the trajectory
             self._end(Outcome(Code.PATH_TOLERANCE_VIOLATED, "the controller has stopped"))
             return
-        n = len(self._joints)
-        desired, actual = command.jets[:2], np.stack([sample.q_l, command.velocity[:n]])
-        outcome = self._goal.check(sample.stamp, *(actual - desired))
+        desired, actual = command.jets[:2], np.stack([sample.q_l, command.velocity[: len(sample.q_l)]])
+        outcome = self._goal.outcome(sample.stamp - self._end_of_goal, actual - desired)
         if sample.stamp - self._last_feedback >= FEEDBACK_PERIOD or outcome is not None:
             self._last_feedback = sample.stamp
             self._handle.publish_feedback(self._messages.feedback(sample.stamp, desired, actual))
@@ -204,8 +188,8 @@ class FollowAction:
 
     def _on_accepted(self, handle: Any) -> None:
         assert self._plan is not None
-        tolerances = self._tolerances.overridden(self._joints, *self._messages.tolerances(handle.request))
-        self._goal = TrackedGoal(self._joints, self._plan.end, tolerances)
+        self._goal = self._tolerances.overridden(*self._messages.tolerances(handle.request))
+        self._end_of_goal = self._plan.end
         self._handle, self._last_feedback = handle, 0
 
     def _on_cancel(self, handle: Any) -> CancelResponse:

@@ -58,8 +58,8 @@ class EndingNode(Node):
     """The command line of the process, if rclpy.init received it."""
     in_process: ClassVar[bool] = False
     """Whether process.run runs the node; it then looks at `ended` itself."""
-    host: Any = None
-    """The NodeProcess of the node, if it has one."""
+    host: NodeProcess | None = None
+    """The process of the node, if it has one."""
     ended: FjrError | None = None
     """The error that ended the node."""
     over: Future
@@ -157,7 +157,7 @@ def run(make_node: Callable[[], EndingNode], args: list[str] | None = None) -> i
         EndingNode.process_arguments = sys.argv if args is None else args
         EndingNode.in_process = True
         node = make_node()
-        node.host = NodeProcess(node)
+        host = node.host = NodeProcess(node)
     except (FjrError, *_ROS_ERRORS) as error:
         why = "" if isinstance(error, FjrError) else "ROS 2 refused the arguments or the parameter file: "
         print(f"cannot start: {why}{' '.join(str(error).split())}", file=sys.stderr, flush=True)
@@ -168,7 +168,7 @@ def run(make_node: Callable[[], EndingNode], args: list[str] | None = None) -> i
         participant.hand_over()
         resume_garbage_collection()
     try:
-        node.host.spin(stopped)
+        host.spin(stopped)
         if node.ended is not None:
             print(f"ended: {node.ended}", file=sys.stderr, flush=True)
     finally:
