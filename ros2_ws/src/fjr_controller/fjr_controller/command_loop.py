@@ -27,16 +27,17 @@ from fjr_core.runtime.events import STATES, Event, State, joints_of
 from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array, joint_state
-from fjr_msgs_py.messages.joint_states import SECOND, StateReader
+from fjr_msgs_py.messages.joint_states import SECOND, StateReader, deserialised
 from fjr_msgs_py.native.loop import NativeMessage, NativeReader, Ring
 from fjr_msgs_py.native.program import NativeError
 from fjr_msgs_py.node import process
 from fjr_msgs_py.node.conflicting_publishers import ConflictingPublishers
+from fjr_msgs_py.node.reports import Refusals
 
 from .certificate import LiveCertificate
 from .host import NativeControllerHost, RclpyControllerHost
 from .native import controller_program, step_functions
-from .reports import ANSWERED, RECEIVED, Refusals, Reports
+from .reports import ANSWERED, RECEIVED, Reports
 
 SILENCE_CHECKS = 10  # per state_timeout
 READING_PERIOD = 0.05  # s
@@ -139,7 +140,11 @@ class CommandLoop:
         }
         self._messages = {name: NativeMessage(program, form) for name, form in forms.items()}
         self._observer = TorqueObserverStruct(program.ffi, contact_observer(node.values, step.law.robot))
-        self._refusals, self._ring = Refusals(program, reader, reports), Ring(program, "struct fjr_record", RECORDS)
+        self._refusals = Refusals(
+            program, "state", lambda data: reader.read(deserialised(data, JointState)), reports.announce
+        )
+        reports.add_counters(self._refusals.report)
+        self._ring = Ring(program, "struct fjr_record", RECORDS)
         shared = {"model": step.model, "controller": self._controller, "copy": step.controller}
         given = {
             **program.cast("struct fjr_controller_loop", shared),
@@ -347,7 +352,7 @@ class CommandLoop:
         for state in states[states != last].tolist():
             self._state = STATES[state]
             if self._state is State.TRACKING:
-                self._reports.announce("tracking", "tracking: the effort is the law's own")
+                self._reports.announce("info", "tracking", "tracking: the effort is the law's own")
 
 
 def _sample_of(record: Any) -> JointSample:

@@ -11,16 +11,12 @@ import sys
 from dataclasses import replace
 
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import POSITION_JUMP, STARTS_REFUSED, STOPS, Event
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import StateReader, deserialised, reason_of
-from fjr_msgs_py.native.loop import LARGEST
-from fjr_msgs_py.native.program import Program
 from fjr_msgs_py.node.conflicting_publishers import node_of
-from fjr_msgs_py.node.reports import STAMP, EventWriter, Health, refusal
+from fjr_msgs_py.node.reports import STAMP, EventWriter, Health
 
 RECEIVED, ANSWERED = "states received", "states answered"
 TRAJECTORY_REFUSED = "trajectory refused"
@@ -58,10 +54,10 @@ class Reports(Health):
         values = dict(event.values) if event.stamp is None else {**event.values, STAMP: event.stamp}
         self._events.publish(event.level, event.kind, event.sentence, values)
 
-    def announce(self, kind: str, sentence: str) -> None:
-        """Publish an event that is not counted, and log it the first time."""
-        self.say("info", kind, sentence)
-        self._events.publish("info", kind, sentence)
+    def announce(self, level: str, kind: str, sentence: str) -> None:
+        """Publish an event that is not counted here, and log it the first time."""
+        self.say(level, kind, sentence)
+        self._events.publish(level, kind, sentence)
 
     def publish_events(self) -> None:
         """Publish the events of the control step since the last call; a position jump names several sources."""
@@ -81,34 +77,3 @@ class Reports(Health):
             self.value(f"seconds {name}", f"{seconds:.3f}")
         self.value("state", self._step.state.value)
         super().publish()
-
-
-class Refusals:
-    """Report the states that C has refused: each kind once, with the sentence of the Python reader, and their numbers.
-
-    pointer: struct fjr_refusals*.
-    """
-
-    def __init__(self, program: Program, reader: StateReader, reports: Reports) -> None:
-        ffi = program.ffi
-        self._reader, self._reports, self._ffi = reader, reports, ffi
-        kinds = len(ffi.new("struct fjr_refusals*").count)
-        self._first = ffi.new("uint8_t[]", kinds * LARGEST)
-        self.pointer = ffi.new("struct fjr_refusals*", {"room": LARGEST, "first": self._first})
-        self._reported, self._counters = [0] * kinds, [""] * kinds
-
-    def report(self) -> None:
-        """Report what was refused since the last call."""
-        for kind, count in enumerate(self.pointer.count):
-            new = count - self._reported[kind]
-            if new and not self._counters[kind]:
-                data = bytes(self._ffi.buffer(self._first + kind * LARGEST, self.pointer.size[kind]))
-                self._counters[kind], sentence = refusal("state", reason_of(data, self._read))
-                self._reports.event(Event("warn", self._counters[kind], sentence))
-                new -= 1
-            if new:
-                self._reports.count[self._counters[kind]] += new
-            self._reported[kind] = count
-
-    def _read(self, data: bytes) -> None:
-        self._reader.read(deserialised(data, JointState))

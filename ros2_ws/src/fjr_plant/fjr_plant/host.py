@@ -12,10 +12,9 @@ from rclpy.node import Node
 
 from fjr_core import FjrError
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.joint_states import reason_of
 from fjr_msgs_py.native.loop import NativeLoop, NativeSubscription, RclpyHost, Ring
 from fjr_msgs_py.native.program import Program
-from fjr_msgs_py.node.reports import Health, refusal
+from fjr_msgs_py.node.reports import Health
 
 COUNTERS = (
     "states published",
@@ -35,8 +34,6 @@ UNWANTED = {
     "time lost": "too far behind the clock: the backlog is skipped and stamps lag by it",
     "clock jumps back": "the clock jumped back: stamps continue from its new time",
 }
-REFUSALS = ("", "not a message", "missing joints", "duplicate joints", "wrong lengths", "not finite")
-"""Kinds of refused commands by enum fjr_reading."""
 
 
 class Events:
@@ -44,31 +41,23 @@ class Events:
 
     error: FjrError | None = None
 
-    def __init__(
-        self, program: Any, health: Health, read: Callable[[bytes], None], on: dict[int, Callable[[int], None]]
-    ) -> None:
-        """read: reads a serialised command and raises MessageError; on: handlers by enum fjr_event, with value."""
-        self._ffi, self._lib, self._health = program.ffi, program.lib, health
-        self._read, self.on = read, on
-        declared = "int(int32_t, int64_t, const uint8_t*, size_t)"
-        self.notify = self._ffi.callback(declared, self._on_event, error=1)
+    def __init__(self, program: Any, health: Health, on: dict[int, Callable[[int], None]]) -> None:
+        """on: handlers by enum fjr_event, with value."""
+        self._lib, self._health, self.on = program.lib, health, on
+        self.notify = program.ffi.callback("int(int32_t, int64_t)", self._on_event, error=1)
 
     def counts(self, plant: Any) -> dict[str, int]:
         """Return the counters of a plant; unwanted ones only if they are not 0."""
-        refused = zip((f"command refused: {kind}" for kind in REFUSALS), plant.refused, strict=True)
         full = plant.states.overflows + plant.commands.overflows
-        unwanted = [*zip(COUNTERS[6:], plant.count[6 : len(COUNTERS)], strict=True), *refused]
+        unwanted = [*zip(COUNTERS[6:], plant.count[6 : len(COUNTERS)], strict=True)]
         unwanted.append(("messages beyond the capacity of a channel", full))
         counts = dict(zip(EXPECTED, plant.count[0:6], strict=True))
         return {**counts, **{name: count for name, count in unwanted if count}}
 
-    def _on_event(self, event: int, value: int, data: Any, size: int) -> int:
+    def _on_event(self, event: int, value: int) -> int:
         try:
             if event == self._lib.FJR_COUNTED:
                 self._health.say("warn", COUNTERS[value], UNWANTED[COUNTERS[value]])
-            elif event == self._lib.FJR_COMMAND_REFUSED:
-                error = reason_of(bytes(self._ffi.buffer(data, size)), self._read)
-                self._health.say("warn", *refusal("command", error))
             else:
                 self.on[event](value)
         except FjrError as error:
@@ -133,8 +122,7 @@ class NativePlantHost(NativeLoop):
     def _read_notes(self) -> None:
         """Report the events that the thread kept."""
         for note in self._notes.take():
-            data = self._program.ffi.from_buffer("uint8_t[]", note["data"][: note["size"]])
-            self._plant.notify(int(note["event"]), int(note["value"]), data, int(note["size"]))
+            self._plant.notify(int(note["event"]), int(note["value"]))
 
     def _work(self, *_: Any) -> int:
         try:

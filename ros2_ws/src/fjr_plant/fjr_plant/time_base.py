@@ -22,7 +22,7 @@ from fjr_msgs_py.messages.cdr import joint_state
 from fjr_msgs_py.messages.joint_states import SECOND, deserialised, read_efforts
 from fjr_msgs_py.native.loop import NO_TIME, NativeMessage
 from fjr_msgs_py.node.parameters import ParameterNode
-from fjr_msgs_py.node.reports import Health
+from fjr_msgs_py.node.reports import Health, Refusals
 
 from .channel import Transport
 from .host import Events, NativePlantHost, RclpyPlantHost
@@ -69,6 +69,7 @@ class DeferredTrigger:
 
 
 WATCH_PERIOD = 0.05  # s between ticks in lock-step
+REFUSALS_PERIOD = 0.05  # s; longest delay of the line about a refused command
 
 
 class SendError(FjrError):
@@ -105,11 +106,13 @@ class TimeBase(ABC):
             self._lib.FJR_ADVANCED: lambda _: self.end_advance(True, ""),
             self._lib.FJR_SECOND: self._health.at,
         }
-        self._events = Events(self._program, self._health, lambda data: self._read(data), others)
+        self._events = Events(self._program, self._health, others)
+        self._refusals = Refusals(self._program, "command", lambda data: self._read(data), health.say)
         self.plant = self._built()
         if node.values[OBSTACLE_TYPE] != NONE:
             self._show_contact()
-        self._health.add_counters(lambda: self._events.counts(self.plant))
+        self._health.add_counters(lambda: {**self._events.counts(self.plant), **self._refusals.report()})
+        node.create_timer(REFUSALS_PERIOD, self._refusals.report, clock=names.STEADY)
 
     def _built(self) -> Any:
         """Return struct fjr_plant."""
@@ -126,7 +129,7 @@ class TimeBase(ABC):
         plant.times = transport.times.pointer
         plant.state = [message.pointer for message in self._messages]
         plant.sample, plant.held, plant.effort = self._pointers
-        plant.notify = self._events.notify
+        plant.notify, plant.refusals = self._events.notify, self._refusals.pointer
         plant.command_timeout = round(values["command_timeout"] * 1e9)
         plant.paused = values["start_paused"]
         plant.by_stamps = bool(self._node.get_parameter("use_sim_time").value)

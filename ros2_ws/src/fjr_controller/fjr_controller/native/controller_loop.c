@@ -15,15 +15,6 @@ static int fail(struct fjr_controller_loop* l, const char* reason) {
 
 /* ---- Messages -------------------------------------------------------------------------------------------------- */
 
-static void refuse(struct fjr_refusals* r, int kind, const uint8_t* data, size_t size) {
-  const int64_t count = r->count[kind];
-  if (count == 0) {
-    r->size[kind] = size < r->room ? size : r->room;
-    memcpy(r->first + (size_t)kind * r->room, data, r->size[kind]);
-  }
-  __atomic_store_n(&r->count[kind], count + 1, __ATOMIC_RELEASE);
-}
-
 /* Read a state into `sample`; return an enum fjr_reading or FJR_NO_STAMP. */
 static int read_sample(struct fjr_controller_loop* l, const uint8_t* data, size_t size) {
   const struct fjr_joint_reader* r = l->reader;
@@ -192,7 +183,7 @@ int fjr_controller_message(void* self, int32_t source, const uint8_t* data, size
   if (arrival < l->since) return FJR_GO_ON;
   __atomic_fetch_add(&l->received, 1, __ATOMIC_RELAXED);
   const int found = read_sample(l, data, size);
-  if (found != FJR_READ) return refuse(l->refusals, found, data, size), FJR_GO_ON;
+  if (found != FJR_READ) return fjr_refuse(l->refusals, found, data, size), FJR_GO_ON;
   if (!is_alone(l)) return FJR_GO_ON;
   if (l->simulated && (outcome = check_silence(l, l->sample.stamp)) != FJR_GO_ON) return outcome;
   outcome = process(l, arrival);

@@ -8,8 +8,6 @@
 #ifndef FJR_CONTROLLER_LOOP_H
 #define FJR_CONTROLLER_LOOP_H
 
-#define FJR_REFUSALS 7 /* kinds: enum fjr_reading from 1 on, and FJR_NO_STAMP */
-#define FJR_NO_STAMP 6
 
 /* Functions of the control step (step.h). */
 struct fjr_step_functions {
@@ -60,13 +58,6 @@ struct fjr_record {
   struct fjr_sample sample;
   struct fjr_command command;
   struct fjr_certified certified; /* only if the loop has a certificate */
-};
-
-/* Messages that were refused, by kind, with the first one of each. */
-struct fjr_refusals {
-  int64_t count[FJR_REFUSALS];
-  size_t size[FJR_REFUSALS], room;
-  uint8_t* first; /* (FJR_REFUSALS, room) */
 };
 
 struct fjr_controller_loop {

@@ -151,3 +151,12 @@ void fjr_put_stamp(struct fjr_message* message, int64_t stamp) {
 void fjr_put_numbers(struct fjr_message* message, int32_t sequence, const double* values) {
   memcpy(message->bytes + message->at[sequence], values, (size_t)message->length[sequence] * sizeof(double));
 }
+
+void fjr_refuse(struct fjr_refusals* r, int kind, const uint8_t* data, size_t size) {
+  const int64_t count = r->count[kind];
+  if (count == 0) {
+    r->size[kind] = size < r->room ? size : r->room;
+    memcpy(r->first + (size_t)kind * r->room, data, r->size[kind]);
+  }
+  __atomic_store_n(&r->count[kind], count + 1, __ATOMIC_RELEASE);
+}

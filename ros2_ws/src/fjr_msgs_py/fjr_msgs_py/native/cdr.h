@@ -15,6 +15,16 @@ enum fjr_field { FJR_POSITION = 1, FJR_VELOCITY = 2, FJR_EFFORT = 4 };
 /* What is found in a message. */
 enum fjr_reading { FJR_READ, FJR_NOT_A_MESSAGE, FJR_MISSING, FJR_DUPLICATE, FJR_WRONG_LENGTH, FJR_NOT_FINITE };
 
+#define FJR_REFUSALS 7 /* kinds: enum fjr_reading from 1 on, and FJR_NO_STAMP */
+#define FJR_NO_STAMP 6
+
+/* Messages that were refused, by kind, with the first one of each. */
+struct fjr_refusals {
+  int64_t count[FJR_REFUSALS];
+  size_t size[FJR_REFUSALS], room;
+  uint8_t* first; /* (FJR_REFUSALS, room) */
+};
+
 /* Reader of JointStates: the values of some names, in the order of these names. The caller allocates the arrays. */
 struct fjr_joint_reader {
   int32_t joints;            /* names that are wanted */
@@ -40,6 +50,9 @@ int fjr_read_joint_state(struct fjr_joint_reader* reader, const uint8_t* data, s
 
 /* Read the n numbers of a Float64MultiArray; return an enum fjr_reading. */
 int fjr_read_array(double* values, int32_t n, const uint8_t* data, size_t size);
+
+/* Count a refused message; keep the first of its kind. */
+void fjr_refuse(struct fjr_refusals* refusals, int kind, const uint8_t* data, size_t size);
 
 /* Write the stamp [ns] into the header of a message. */
 void fjr_put_stamp(struct fjr_message* message, int64_t stamp);

@@ -14,8 +14,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray, String
 
-from ..messages.joint_states import SECOND, MessageError, set_nanoseconds
+from ..messages.joint_states import SECOND, MessageError, reason_of, set_nanoseconds
 from ..names import DIAGNOSTICS, EVENTS, LATCHED, ROBOT_DESCRIPTION, STEADY, full_name
+from ..native.loop import LARGEST
+from ..native.program import Program
 
 
 class CertificateValues(NamedTuple):
@@ -101,6 +103,32 @@ def publish_description(node: Node, urdf: str) -> Publisher:
 def refusal(what: str, error: MessageError) -> tuple[str, str]:
     """Return kind and sentence of a rejected message, for Health."""
     return f"{what} refused: {error.kind}", f"{what} refused: {error} (logged once; counted on {DIAGNOSTICS})"
+
+
+class Refusals:
+    """Report the messages that C has refused: each kind once, with the sentence of the Python reader, and how many.
+
+    pointer: struct fjr_refusals*.
+    """
+
+    def __init__(
+        self, program: Program, what: str, read: Callable[[bytes], object], tell: Callable[[str, str, str], None]
+    ) -> None:
+        """what: messages; read: reads one and raises MessageError; tell: reports level, kind and sentence."""
+        self._ffi, self._what, self._read, self._tell = program.ffi, what, read, tell
+        self._kinds = [""] * len(program.ffi.new("struct fjr_refusals*").count)
+        self._first = program.ffi.new("uint8_t[]", len(self._kinds) * LARGEST)
+        self.pointer = program.ffi.new("struct fjr_refusals*", {"room": LARGEST, "first": self._first})
+
+    def report(self) -> dict[str, int]:
+        """Report the kinds that are new; return the numbers by kind."""
+        count = list(self.pointer.count)
+        for k in range(len(count)):
+            if count[k] and not self._kinds[k]:
+                error = reason_of(bytes(self._ffi.buffer(self._first + k * LARGEST, self.pointer.size[k])), self._read)
+                self._kinds[k], sentence = refusal(self._what, error)
+                self._tell("warn", self._kinds[k], sentence)
+        return {kind: number for kind, number in zip(self._kinds, count, strict=True) if number}
 
 
 class Health:

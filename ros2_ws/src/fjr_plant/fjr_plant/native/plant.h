@@ -8,9 +8,6 @@
 #ifndef FJR_PLANT_H
 #define FJR_PLANT_H
 
-#define FJR_READINGS 6      /* number of enum fjr_reading */
-#define FJR_NOTE_ROOM 65536 /* bytes of a message that are kept */
-
 enum fjr_constant {
   FJR_LONGEST_BACKLOG = 50000000,  /* [ns] longest time integrated at once: no controller acts meanwhile */
   FJR_LARGEST_LAG = 1000000000,    /* [ns] largest lag of the stamps behind the clock due to lost time */
@@ -35,7 +32,6 @@ enum fjr_counter {
 /* Rare events of which Python is notified. */
 enum fjr_event {
   FJR_COUNTED,         /* first count of an unwanted event; value: its enum fjr_counter */
-  FJR_COMMAND_REFUSED, /* first command of an enum fjr_reading, `value`; the message follows */
   FJR_MOVING,          /* the first command since a start or a reset has arrived */
   FJR_FIRST_ANSWER,    /* lock-step: the first command is about to be accepted; a result other than 0 is a fault */
   FJR_ADVANCED,        /* the samples of an advance have passed */
@@ -45,8 +41,6 @@ enum fjr_event {
 /* An event for which the plant does not wait. */
 struct fjr_note {
   int64_t event, value;
-  size_t size;
-  uint8_t data[FJR_NOTE_ROOM];
 };
 
 /* Messages to send. */
@@ -66,7 +60,7 @@ struct fjr_plant {
   void* host;
   int (*send)(void* host, int32_t output, const struct fjr_message* message);
   void (*settle)(void* host, int32_t output); /* wait until subscribers have received what was sent; NULL: do not */
-  int (*notify)(int32_t event, int64_t value, const uint8_t* data, size_t size); /* Python */
+  int (*notify)(int32_t event, int64_t value); /* Python */
   struct fjr_ring* notes;              /* struct fjr_note: events that wait for Python, NULL: none does */
 
   int32_t fault;
@@ -76,7 +70,8 @@ struct fjr_plant {
   int64_t command_timeout, last_command;
   int64_t left;                        /* samples of an advance */
   int64_t reported, shown;             /* stamps of the last FJR_SECOND and of the last sample */
-  int64_t count[FJR_COUNTERS], refused[FJR_READINGS];
+  int64_t count[FJR_COUNTERS];
+  struct fjr_refusals* refusals;       /* commands */
 
   /* Real time. */
   int32_t simulated;                   /* 1: the host's clock is the node's; 0: it is the steady clock */

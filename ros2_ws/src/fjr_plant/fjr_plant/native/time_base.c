@@ -16,19 +16,15 @@ static int failed(struct fjr_plant* p, int fault) {
 }
 
 /* Keep an event for Python, or call it if the plant needs the result or the time stands still. */
-static int notify(struct fjr_plant* p, int32_t event, int64_t value, const uint8_t* data, size_t size) {
+static int tell(struct fjr_plant* p, int32_t event, int64_t value) {
   if (!p->notes || event == FJR_FIRST_ANSWER || event == FJR_ADVANCED || event == FJR_SECOND)
-    return p->notify(event, value, data, size);
+    return p->notify(event, value);
   struct fjr_note* note = fjr_ring_free(p->notes, 0);
   if (!note) return 0;
   note->event = event, note->value = value;
-  note->size = size < FJR_NOTE_ROOM ? size : FJR_NOTE_ROOM;
-  if (size) memcpy(note->data, data, note->size);
   fjr_ring_commit(p->notes);
   return 0;
 }
-
-static int tell(struct fjr_plant* p, int32_t event, int64_t value) { return notify(p, event, value, NULL, 0); }
 
 /* Count an unwanted event, and notify Python of the first one. */
 static void unwanted(struct fjr_plant* p, int32_t counter) {
@@ -36,7 +32,7 @@ static void unwanted(struct fjr_plant* p, int32_t counter) {
 }
 
 static int refuse(struct fjr_plant* p, int reading, const uint8_t* data, size_t size) {
-  if (++p->refused[reading] == 1) notify(p, FJR_COMMAND_REFUSED, reading, data, size);
+  fjr_refuse(p->refusals, reading, data, size);
   return p->fault;
 }
 
