@@ -163,29 +163,25 @@ def renamed() -> Tamper:
     return tamper
 
 
-def frozen() -> Tamper:
-    """Repeat the first message."""
-    first: list[JointState] = []
-
-    def tamper(message: JointState) -> Iterable[JointState]:
-        first.append(message)
-        del first[1:]
-        yield first[0]
-
-    return tamper
-
-
-def stuck() -> Tamper:
-    """Repeat the values of the first message under new stamps."""
+def repeated(values_only: bool) -> Tamper:
+    """Repeat the first message, or its values under new stamps."""
     first: list[JointState] = []
 
     def tamper(message: JointState) -> Iterable[JointState]:
         first.append(message)
         del first[1:]
         message.position, message.velocity = first[0].position, first[0].velocity
-        yield message
+        yield message if values_only else first[0]
 
     return tamper
+
+
+def frozen() -> Tamper:
+    return repeated(values_only=False)
+
+
+def stuck() -> Tamper:
+    return repeated(values_only=True)
 
 
 def turned() -> Tamper:
