@@ -120,15 +120,16 @@ class Refusals:
         self._first = program.ffi.new("uint8_t[]", len(self._kinds) * LARGEST)
         self.pointer = program.ffi.new("struct fjr_refusals*", {"room": LARGEST, "first": self._first})
 
-    def report(self) -> dict[str, int]:
-        """Report the kinds that are new; return the numbers by kind."""
-        count = list(self.pointer.count)
+    def report(self) -> Counter[str]:
+        """Report the kinds that are new; return the numbers by the kind of the first message of each."""
+        count, numbers = list(self.pointer.count), Counter[str]()
         for k in range(len(count)):
             if count[k] and not self._kinds[k]:
                 error = reason_of(bytes(self._ffi.buffer(self._first + k * LARGEST, self.pointer.size[k])), self._read)
                 self._kinds[k], sentence = refusal(self._what, error)
                 self._tell("warn", self._kinds[k], sentence)
-        return {kind: number for kind, number in zip(self._kinds, count, strict=True) if number}
+            numbers[self._kinds[k]] += count[k]
+        return +numbers
 
 
 class Health:
