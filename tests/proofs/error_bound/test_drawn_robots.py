@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from itertools import product
 
 import numpy as np
 import pytest
@@ -49,6 +50,18 @@ def test_the_largest_errors_are_those_of_another_simulation(
     assert found.largest == pytest.approx(loop.peaks(shares)[1].max(axis=0), rel=1e-4)
 
 
+def test_the_worst_corner_is_that_of_all_corners(two_link: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "ROBOTS", ROBOTS)
+    errors: dict[str, ArrayLike] = {"link_mass": [0.2, 0.1], "stiffness": 0.1, "payload_mass": 0.2}
+    found = drawn_robots(two_link, errors, 0.0, PLACE)
+    assert found is not None
+    loop = UncertainLoop(two_link.law, two_link.reference, two_link.sample_period, 0.0, errors, 0.0, DURATION, PLACE)
+    corners = loop.peaks(np.array(list(product((-1.0, 1.0), repeat=5))))[1]
+    joint = int(np.argmax(found.largest))
+    assert found.corner == pytest.approx(corners[np.argmax(corners[:, joint])], rel=1e-4)
+    assert found.corner[joint] > 1.1 * found.largest[joint]
+
+
 @pytest.mark.parametrize(
     "errors", [{"payload": 0.1, "link_torque": 0.1}, {"payload_mass": 0.1, "gravity": 0.1}, {"gravity_direction": 0.1}]
 )
@@ -64,12 +77,17 @@ def test_a_bound_that_is_not_proven_is_followed_by_drawn_robots() -> None:
     largest = 1e3 * max(found.values["drawn"]["largest"].values())
     assert largest <= float(said[1]) <= 1.01 * largest
     assert f"at the samples of {found.values['drawn']['seconds']:.3g} s" in found.rows["    299 drawn robots"]
+    assert found.values["drawn"]["corner"]["joint1"] >= 1e-3 * largest
+    assert found.rows["    worst corner found"].endswith(
+        "rad (joint1), of robots with every parameter at an end of its error"
+    )
     assert "drawn" not in errors_bounded(scenario, errors, 0.0, prove=True).values
 
 
 def test_unstable_loops_are_counted(two_link: Scenario) -> None:
     found = errors_bounded(two_link, {"motor_inertia": 0.9, "stiffness": 0.9}, 8.0, prove=False)
     assert found.values["drawn"]["unstable"] > 0
+    assert found.rows["    worst corner found"].startswith("an unstable loop")
     assert found.rows["    299 drawn robots"].startswith(f"{found.values['drawn']['unstable']} with an unstable loop")
 
 

@@ -74,9 +74,11 @@ def errors_bounded(
     }
     rows = {"error bound": _sentence(scenario, bound, hint)}
     if errors and not bound.proven and (drawn := drawn_robots(scenario, errors, late, place)) is not None:
-        largest = _by_joint(scenario, drawn.largest)
-        values["drawn"] = {"robots": ROBOTS, "unstable": drawn.unstable, "largest": largest, "seconds": drawn.seconds}
+        found = {name: _by_joint(scenario, getattr(drawn, name)) for name in ("largest", "corner")}
+        values["drawn"] = {"robots": ROBOTS, "unstable": drawn.unstable, "seconds": drawn.seconds, **found}
         rows[f"    {ROBOTS} drawn robots"] = _sampled(scenario, drawn) + _without(scenario, bound.errors)
+        size = _largest(scenario, drawn.corner) if np.isfinite(drawn.corner).all() else "an unstable loop"
+        rows["    worst corner found"] = f"{size}, of robots with every parameter at an end of its error"
     return Check(rows, values)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate robots drawn from stated errors: an estimate of the tracking error where no bound is proven.
+"""Simulate robots within stated errors, drawn and at the worst corner found: the error where no bound is proven.
 
 Of k independent values the largest exceeds their quantile of order p with probability 1 - p^k: 95 % for p = 0.99 and
 k = 299. S. S. Wilks, "Determination of sample sizes for setting tolerance limits", Ann. Math. Statist. 12, 1941.
@@ -7,7 +7,7 @@ k = 299. S. S. Wilks, "Determination of sample sizes for setting tolerance limit
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,11 +29,19 @@ ROBOTS, SHARE, CONFIDENCE = 299, 0.99, 0.95
 SEED = 1
 
 
+Peaks = Callable[[Array], Array]
+"""Return the largest errors |q_l - q_ld| (k, n) [rad] of robots with shares (k, d) of their errors, 0 to 1."""
+
+
 @dataclass(frozen=True)
 class DrawnRobots:
-    """Runs of ROBOTS robots over `seconds`. largest (n,) [rad]: |q_l - q_ld| of stable loops. unstable: the others."""
+    """Runs over `seconds` of ROBOTS robots, of which `unstable` have an unstable loop.
+
+    largest (n,) [rad]: |q_l - q_ld| of the others. corner (n,) [rad]: of `worst_corner`, infinite for an unstable loop.
+    """
 
     largest: Array
+    corner: Array
     unstable: int
     seconds: float
 
@@ -51,31 +59,59 @@ def drawn_robots(
     if not errors.keys() <= drawable or {"payload_mass", "gravity"} <= errors.keys():
         return None
     robot, reference, T = scenario.robot, scenario.reference, scenario.sample_period
-    values = {name: _drawn(name, size, robot.n, payload_position) for name, size in errors.items()}
-    if "payload" in values:  # all masses and inertias
-        factor = values.pop("payload")
-        values |= {"link_inertia": factor, "gravity": factor * values.get("gravity", 1.0)}
     q, dq, *_ = jets = reference.jets(0.0)
     _, q_m, dq_m, *_ = (each.full().ravel() for each in inverse_dynamics(robot)(*jets))
     cells = cells_of(reference, T, verified=False)
     duration = cells.length * cells.count + SETTLED
     start, inner = robot.state(q, q_m, dq, dq_m), scenario.inner_steps
     loop = ClosedLoop(robot, scenario.law, reference, start, duration, T, inner, settle_after=0.0)
-    outcomes = loop.run(Draws(ROBOTS, delay=delay, **{"payload_position": payload_position, **values}))
-    largest = outcomes.peak[outcomes.stable].max(axis=0, initial=0.0)
-    return DrawnRobots(largest, int(np.sum(~outcomes.stable)), duration)
+    widths = {name: 1 if name == "gravity" else DEVIATIONS[name].width(robot.n) for name in errors}  # or of each joint
+
+    def peaks(shares: Array) -> Array:
+        parts = np.split(shares, np.cumsum(list(widths.values()))[:-1], axis=1)
+        values = {
+            name: _value(name, errors[name], part, payload_position) for name, part in zip(errors, parts, strict=True)
+        }
+        if "payload" in values:  # all masses and inertias
+            factor = values.pop("payload")
+            values |= {"link_inertia": factor, "gravity": factor * values.get("gravity", 1.0)}
+        outcomes = loop.run(Draws(len(shares), delay=delay, **{"payload_position": payload_position, **values}))
+        return np.where(outcomes.stable[:, None], outcomes.peak, np.inf)
+
+    shares = np.hstack([uniform(name, SEED, 0, ROBOTS, width) for name, width in widths.items()])
+    drawn = peaks(shares)
+    unstable = np.isinf(drawn).any(axis=1)
+    worst, joint = np.unravel_index(np.argmax(drawn), drawn.shape)
+    corner = worst_corner(peaks, np.round(shares[worst]), int(joint))
+    return DrawnRobots(drawn[~unstable].max(axis=0, initial=0.0), corner, int(unstable.sum()), duration)
 
 
-def _drawn(name: str, error: ArrayLike, n: int, place: ArrayLike = 0.0) -> Array:
-    """Return the values (ROBOTS, width) of a parameter within its error of its nominal value, or of the place.
+def worst_corner(peaks: Peaks, at: Array, joint: int) -> Array:
+    """Return the errors (n,) of the corner of the class, shares of 0 and 1, to which changes from one (d,) lead.
 
-    (ROBOTS,) for a parameter of one number, such as gravity, which has one factor for all joints.
+    In each round all changes of a share that enlarge the error of the joint are made, or the best of them alone.
     """
-    width = 1 if name == "gravity" else DEVIATIONS[name].width(n)
-    share = uniform(name, SEED, 0, ROBOTS, width)
+    found = peaks(at[None])[0]
+    while True:
+        changed = np.abs(at - np.eye(len(at)))
+        errors = peaks(changed)[:, joint]
+        larger = errors > found[joint]
+        if not larger.any():
+            return np.asarray(found)
+        options = np.array([changed[np.argmax(errors)], np.abs(at - larger)])
+        ends = peaks(options)
+        best = int(np.argmax(ends[:, joint]))
+        at, found = options[best], ends[best]
+
+
+def _value(name: str, error: ArrayLike, share: Array, place: ArrayLike) -> Array:
+    """Return the values (k, width) of a parameter at shares of its error about its nominal value, or the place.
+
+    (k,) for a parameter of one number, such as gravity, which has one factor for all joints.
+    """
     if name == "payload_mass":
         found = np.asarray(error) * share
     else:
         nominal = np.asarray(place) if name == "payload_position" else DEVIATIONS[name].nominal
         found = nominal + np.asarray(error) * (2 * share - 1)
-    return found[:, 0] if width == 1 else found
+    return found[:, 0] if share.shape[1] == 1 else found
