@@ -117,16 +117,17 @@ class UncertainLoop:
         x = np.tile(np.concatenate(start[:4])[:, None], len(shares))
         efforts = [np.tile(u[:, None], len(shares)) for *_, u in before]
         largest = np.zeros((2, n, len(shares)))
+        answer, advance = (function.map(len(shares)) for function in (self._answer, self._step))
         for k in range(round(self.duration / self.T)):
             jets = self.reference.jets(k * self.T)
             error = np.abs(x[:n] - jets[0][:, None])
             largest[1] = np.maximum(largest[1], error)
             if k * self.T >= self.settled:
                 largest[0] = np.maximum(largest[0], error)
-            efforts = [self._answer.map(len(shares))(x, np.tile(jets.T, len(shares))).full(), *efforts[: whole + 1]]
+            efforts = [answer(x, np.tile(jets.T, len(shares))).full(), *efforts[: whole + 1]]
             for effort, share in ((efforts[whole + 1], fraction), (efforts[whole], 1 - fraction)):
                 if share:
-                    x = self._step.map(len(shares))(x, effort, parameters, share * self.T).full()
+                    x = advance(x, effort, parameters, share * self.T).full()
         return largest[0].T, largest[1].T
 
     @property

@@ -57,13 +57,13 @@ def two_link() -> fjr.TrackingLaw:
 
 
 @cache
-def paper(delay: float, **errors: float) -> ErrorBound:
-    return bound_errors(joint(), SWING, T, delay, errors, payload_position=PLACE)
+def paper(delay: float, prove: bool | None = None, **errors: float) -> ErrorBound:
+    """Return the bound of the paper's joint along a reference with a short period."""
+    return bound_errors(joint(), EACH_SECOND, T, delay, errors, payload_position=PLACE, prove=prove)
 
 
 CASES = [
     (joint, SWING, 0.4 * T, {"stiffness": 0.05, "motor_inertia": 0.05}),
-    (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
     (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
     (
         joint,
@@ -84,6 +84,7 @@ MORE = [
     (joint, SWING, 0.0, {}),
     (joint, SWING, T, {"payload": 0.2, "link_damping": 0.3, "motor_damping": 0.3, "gravity": 0.05}),
     (two_link, TWO_LINK_SWING, T, {}),
+    (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
     (joint, EACH_SECOND, 0.0, {"payload": 0.2}),
     (two_link, TWO_LINK_EACH_SECOND, T, {"payload": 0.1}),
     (two_link, TWO_LINK_SWING, T, {"payload_mass": 0.1, "link_mass": 0.05, "motor_inertia": [0.1, 0.0]}),
@@ -91,9 +92,11 @@ MORE = [
 
 
 def class_of(
-    law: fjr.TrackingLaw, reference: Reference, delay: float, errors: dict[str, Any], duration: float = 4.0
+    law: fjr.TrackingLaw, reference: Reference, delay: float, errors: dict[str, Any], duration: float | None = None
 ) -> UncertainLoop:
-    return UncertainLoop(law, reference, T, delay, errors, 1.0, duration, PLACE)
+    """Return the loop for 4 s, or for a period of EACH_SECOND after 1 s in which its transients decay."""
+    lasting = duration or (2.0 if reference in (EACH_SECOND, TWO_LINK_EACH_SECOND) else 4.0)
+    return UncertainLoop(law, reference, T, delay, errors, 1.0, lasting, PLACE)
 
 
 @pytest.mark.parametrize(
@@ -170,13 +173,13 @@ def test_the_centre_of_a_tube_is_the_steady_motion_of_the_simulated_late_loop() 
     assert error < 1e-3 * np.abs(positions - SWING.jets(run.t[settled])[:, 0]).max()
 
 
-def linear_step(robot: fjr.Robot, torque: float, z: np.ndarray, u: float) -> np.ndarray:
-    """Return (q_l, q_m, dq_l, dq_m) of a joint without gravity after T under constant effort and link torque."""
+def linear_step(robot: fjr.Robot) -> Array:
+    """Return the map (4, 6) of a joint without gravity from (q_l, q_m, dq_l, dq_m), torque and effort to T later."""
     M, M_m, K, D, D_m = (float(each[0, 0]) for each in (robot.M_l([0.0]), robot.M_m, robot.K, robot.D_l, robot.D_m))
     A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-K / M, K / M, -D / M, 0], [K / M_m, -K / M_m, 0, -D_m / M_m]])
-    whole = np.zeros((5, 5))
-    whole[:4, :4], whole[2:4, 4] = A, (torque / M, u / M_m)
-    return np.asarray((expm(whole * T) @ np.append(z, 1.0))[:4])
+    whole = np.zeros((6, 6))
+    whole[:4, :4], whole[2, 4], whole[3, 5] = A, 1 / M, 1 / M_m
+    return np.asarray(expm(whole * T)[:4])
 
 
 def response(law: fjr.TrackingLaw, torques: np.ndarray, robot: fjr.Robot | None = None) -> np.ndarray:
@@ -184,10 +187,10 @@ def response(law: fjr.TrackingLaw, torques: np.ndarray, robot: fjr.Robot | None 
 
     robot: that of the law by default.
     """
-    z, positions = np.zeros(4), [0.0]
+    step, z, positions = linear_step(robot or law.robot), np.zeros(4), [0.0]
     for torque in torques:
         u, _ = law.measured_command(z[:2], z[2:], np.zeros((5, 1)))
-        z = linear_step(robot or law.robot, torque, z, u[0])
+        z = step @ [*z, torque, u[0]]
         positions.append(z[0])
     return np.array(positions)
 
@@ -258,7 +261,8 @@ def test_a_robot_of_another_weight_rests_within_its_bound(factor: float) -> None
 
 def test_stated_errors_are_those_of_the_robot_file_times_a_number_of_standard_deviations() -> None:
     said = ("link_coulomb_friction:=0.01", "link_torque:=0.02", "link_mass:=0.04", "joint_stiffness:=0.03")
-    scenario = library.load("paper_k31", [f"robot.deviations.{each.replace(':=', ':=[')}]" for each in said])
+    short = f"reference.frequency:=[{2 * np.pi}]"  # a period of 1000 samples
+    scenario = library.load("paper_k31", [short, *(f"robot.deviations.{each.replace(':=', ':=[')}]" for each in said)])
     found = errors_bounded(scenario, {"stated": 2.0, "link_damping": 0.1}, 1.0).values
     expected = {"link_mass": [0.08], "stiffness": [0.06], "link_damping": 0.1, "link_torque": 0.06}
     assert found["errors"] == {name: pytest.approx(size) for name, size in expected.items()}
@@ -273,18 +277,19 @@ def test_an_error_under_its_former_name_is_reported(capsys: pytest.CaptureFixtur
     assert "--error link_inertia is deprecated; use link_central_inertia" in capsys.readouterr().err
 
 
-def test_delay_and_every_error_enlarge_the_bound() -> None:
-    assert paper(0.0).position < paper(T).position
+@pytest.mark.parametrize("prove", [False, pytest.param(None, marks=pytest.mark.full)], ids=["sampled", "proven"])
+def test_delay_and_every_error_enlarge_the_bound(prove: bool | None) -> None:
+    assert paper(0.0, prove).position < paper(T, prove).position
     for name in {*PARAMETERS, *TORQUES} - {"payload_position", "link_central_inertia"}:
-        assert paper(T, **{name: 0.05}).position > paper(T).position, name
+        assert paper(T, prove, **{name: 0.05}).position > paper(T, prove).position, name
 
 
 def test_no_robot_with_a_delay_within_its_error_exceeds_the_bound() -> None:
     made, errors = joint(), {"payload": 0.1}
-    bound = bound_errors(made, SWING, T, 0.5 * T, errors | {"delay": 0.5})
+    bound = bound_errors(made, EACH_SECOND, T, 0.5 * T, errors | {"delay": 0.5})
     assert bound.proven
     for delay in (0.0, 0.3 * T, T):
-        steady, whole = drawn(class_of(made, SWING, delay, errors), 20)
+        steady, whole = drawn(class_of(made, EACH_SECOND, delay, errors), 20)
         assert np.all(steady <= bound.position)
         assert np.all(whole <= bound.from_start)
         assert np.all(bound.position <= 1.5 * steady.max())
@@ -393,7 +398,7 @@ def test_an_unstable_loop_has_no_bound() -> None:
 
 
 def test_a_bound_without_a_proof_is_sampled() -> None:
-    sampled = bound_errors(joint(), SWING, T, T, prove=False)
+    sampled = paper(T, prove=False)
     assert not sampled.proven
     assert sampled.position <= paper(T).position <= 1.5 * sampled.position
 
