@@ -146,8 +146,9 @@ class LockStepLoop:
                 self._answer(sample)
 
     def _answer(self, sample: Sample) -> None:
-        stamp, position, velocity, _ = sample
-        command = self.tracker.command(JointSample(stamp, *np.split(position, 2), *np.split(velocity, 2)), stamp)
+        (stamp, position, velocity, _), n = sample, self._n
+        sides = (values for both in (position, velocity) for values in (both[:n], both[n:]))
+        command = self.tracker.command(JointSample(stamp, *sides), stamp)
         if command is None:
             return
         u = command.u.copy()
