@@ -397,7 +397,7 @@ def test_a_spike_of_one_state_is_seen_in_a_long_run() -> None:
     run = Columns()
     for part in np.array_split(np.arange(rows), 17):
         run.add(t=part.astype(float), values=values[part])
-    t, kept = run.at(kept_rows(run)).values()
+    t, kept = run.at(kept_rows(len(run), run.each(("t", "values")))).values()
     assert len(t) < 10 * BUCKETS
     assert t[0] == 0 and t[-1] == rows - 1 and (np.diff(t) > 0).all()  # noqa: PT018
     assert t[np.argmax(kept[:, 1])] == 54_321

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from tempfile import SpooledTemporaryFile, gettempdir
 
 import numpy as np
@@ -15,6 +16,7 @@ from fjr_core.numerics.checks import Array
 
 IN_MEMORY = 2**24  # bytes of a table; a larger one goes to a file
 BYTES = 8  # of a number
+ROWS = 8192  # of a part
 
 
 class ScratchError(FjrError):
@@ -58,26 +60,34 @@ class Columns:
         place = self._places[name]
         return self._column(place if isinstance(place, int) else place.start + joint)
 
-    def __iter__(self) -> Iterator[Array]:
-        """Yield every column (k,)."""
-        return map(self._column, range(self._width))
+    def each(self, names: Iterable[str]) -> Iterator[Array]:
+        """Yield the columns (k,) with these names, one after the other."""
+        numbers = np.arange(self._width)
+        return (self._column(int(place)) for name in names for place in np.atleast_1d(numbers[self._places[name]]))
 
-    def at(self, rows: NDArray[np.integer]) -> dict[str, Array]:
-        """Return rows of all columns, by their numbers; NaN for -1."""
-        values = np.full((len(rows), self._width), np.nan)
+    def at(self, rows: NDArray[np.integer], names: Iterable[str] = ()) -> dict[str, Array]:
+        """Return rows of the columns with these names, by default of all, by their numbers; NaN for -1."""
+        places = {name: self._places[name] for name in names} or self._places
+        none = np.full(self._width, np.nan)
+        values = {name: np.full((len(rows), *none[place].shape), np.nan) for name, place in places.items()}
         blocks = np.searchsorted(self._begins, rows, side="right") - 1
         for block in np.unique(blocks[rows >= 0]).tolist():
             here = blocks == block
-            values[here] = self._block(block, 0, self._width)[rows[here] - self._begins[block]]
-        return {name: values[:, place] for name, place in self._places.items()}
+            found = self._block(block, 0, self._width)[rows[here] - self._begins[block]]
+            for name, place in places.items():
+                values[name][here] = found[:, place]
+        return values
 
-    def blocks(self) -> Iterator[dict[str, Array]]:
-        """Yield all rows, block by block."""
-        for begin, end in zip(self._begins, self._begins[1:], strict=False):
-            yield self.at(np.arange(begin, end))
+    def parts(self) -> Iterator[dict[str, Array]]:
+        """Yield all rows, ROWS at a time."""
+        for begin in range(0, len(self), ROWS):
+            yield self.at(np.arange(begin, min(begin + ROWS, len(self))))
 
     def _column(self, place: int) -> Array:
-        return np.concatenate([self._block(i, place, place + 1)[:, 0] for i in range(len(self._begins) - 1)])
+        column = np.empty(len(self))
+        for i, (begin, end) in enumerate(pairwise(self._begins)):
+            column[begin:end] = self._block(i, place, place + 1)[:, 0]
+        return column
 
     def _block(self, block: int, first: int, end: int) -> Array:
         """Return the columns from `first` to `end` of a block (k, end - first)."""

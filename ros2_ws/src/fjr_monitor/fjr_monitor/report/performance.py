@@ -76,12 +76,14 @@ def tracked(run: Recording) -> tuple[list[JointMetrics], Tracking]:
     columns = run.columns
     t, first = columns.column("t"), np.abs(columns.at(np.zeros(1, dtype=int))["error"][0])
     band = SETTLED * float(first.max())
-    joints, largest = [], np.zeros(len(t))
+    joints, largest, late = [], np.zeros(len(t)), int(np.searchsorted(t, STEADY_AFTER))
     commanded, saturated = np.ones(len(t), dtype=bool), np.zeros(len(t), dtype=bool)
     for j, (joint, units, limit) in enumerate(zip(run.joints, run.units, run.effort_limit, strict=True)):
-        size, u = np.abs(columns.column("error", j)), np.abs(columns.column("u", j))
+        size, u = columns.column("error", j), columns.column("u", j)
+        np.abs(size, out=size)
+        np.abs(u, out=u)
         at_limit = np.isfinite(u) & (u >= AT_LIMIT * limit)
-        (peak, rms), (late_peak, late_rms) = _peak_and_rms(size), _peak_and_rms(size[t >= STEADY_AFTER])
+        (peak, rms), (late_peak, late_rms) = _peak_and_rms(size), _peak_and_rms(size[late:])
         peak_effort, rms_effort = _peak_and_rms(u)
         joints.append(
             JointMetrics(
@@ -100,9 +102,9 @@ def tracked(run: Recording) -> tuple[list[JointMetrics], Tracking]:
                 saturated_fraction=_share(at_limit, ~np.isnan(u)) if np.isfinite(limit) else np.nan,
             )
         )
-        largest = np.maximum(largest, size)
+        np.maximum(largest, size, out=largest)
         commanded, saturated = commanded & np.isfinite(u), saturated | at_limit
-    peaks, limits, late = (
+    peaks, limits, late_peaks = (
         np.array([getattr(each, name) for each in joints])
         for name in ("peak_effort_nm", "effort_limit_nm", "peak_error_after_2s_rad")
     )
@@ -112,12 +114,12 @@ def tracked(run: Recording) -> tuple[list[JointMetrics], Tracking]:
         peak_effort_nm=_largest(peaks, run.joints)[0],
         peak_effort_joint=_largest(peaks, run.joints)[1],
         largest_share_joint=share_at if share > 0 else None,
-        max_error_after_2s_joint=_largest(late, run.joints)[1],
+        max_error_after_2s_joint=_largest(late_peaks, run.joints)[1],
         peak_effort_by_joint_nm=dict(zip(run.joints, peaks.tolist(), strict=True)),
         effort_limit_by_joint_nm=dict(zip(run.joints, limits.tolist(), strict=True)),
         largest_share_of_effort_limit=share if share > 0 else None,
         initial_error_rad=float(first.max()),
-        max_error_after_2s_rad=_largest(late, run.joints)[0],
+        max_error_after_2s_rad=_largest(late_peaks, run.joints)[0],
         rms_error_after_2s_rad=float(np.sqrt(np.mean([each.rms_error_after_2s_rad**2 for each in joints]))),
         settling_time_2_percent_s=settling_time(t, largest, band),
         saturated_fraction=_share(saturated, commanded) if limited else None,
@@ -135,8 +137,9 @@ def settling_time(t: Array, values: Array, band: float) -> float | None:
 
 def _peak_and_rms(values: Array) -> tuple[float, float]:
     """Return the largest and the root mean square of the values that are known; NaN without any."""
-    known = values[~np.isnan(values)]
-    return (float(known.max()), float(np.sqrt(np.mean(known**2)))) if len(known) else (math.nan, math.nan)
+    unknown = np.isnan(values)
+    known = values[~unknown] if unknown.any() else values  # a long run has many: no copy
+    return (float(known.max()), math.sqrt(known @ known / len(known))) if len(known) else (math.nan, math.nan)
 
 
 def _share(some: NDArray[np.bool_], among: NDArray[np.bool_]) -> float:
@@ -245,12 +248,15 @@ def _torque(part: RunData, B_m: Array) -> Array:
 
 def energy(t: Array, columns: Columns) -> Energy:
     """Return the energies of a run; columns: powers of `steps` of all states, at times t (k,) [s]."""
-    dt = np.diff(t, prepend=np.nan)
-    powers = {name: columns.column(name) for name in ("supplied", "dissipated", "stored", "residual")}
-    known = np.isfinite(powers["residual"])
-    left, supplied = (float(np.sqrt((powers[name][known] ** 2).sum())) for name in ("residual", "supplied"))
-    joules = {f"{name}_j": float(np.nansum(each * dt)) for name, each in powers.items()}
-    return Energy(**joules, rms_residual_of_supplied=left / supplied if supplied else math.nan)
+    dt, residual = np.diff(t, prepend=np.nan), columns.column("residual")
+    known, joules = np.isfinite(residual), {"residual": float(np.nansum(residual * dt))}
+    left = float(np.linalg.norm(residual[known]))
+    for name in ("dissipated", "stored", "supplied"):
+        power = columns.column(name)
+        joules[name] = float(np.nansum(power * dt))
+    supplied = float(np.linalg.norm(power[known]))
+    ratio = left / supplied if supplied else math.nan
+    return Energy(**{f"{name}_j": each for name, each in joules.items()}, rms_residual_of_supplied=ratio)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -25,37 +26,35 @@ EVERY = 40_000  # states of a run of which all are kept
 BUCKETS = 1_000  # parts of a longer run; of each the least and the largest value of every signal are kept
 VISIBLE = 0.3  # rad or m, of the largest deflection as magnified at first
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+STATES = ("t", "q_l", "q_ld", "error", "u", "external_torque", "since", "latency")  # columns that are shown
+STORED, RATES = ("V", "H"), ("measured", "predicted", "least")
+FLOWS = ("supplied", "dissipated", "stored", "residual")  # of energy
 FRAMES = 900  # of the motion of an arm; the page interpolates between them
 
 
 class Shown:
     """Signals of a run, decimated: no value of a column of its metrics is above or below those that are kept nearby.
 
-    states: the columns and largest_error, largest_effort. steps: t, at which each step begins, rates of V, powers and
-    energies. frames: the columns at FRAMES instants. deflection (n,): largest |q_m - q_l|, NaN: unknown.
+    states: STATES, STORED, largest_error and largest_effort. steps: t, at which each step begins, rates of V, powers
+    and energies. frames: the columns at FRAMES instants. deflection (n,): largest |q_m - q_l|, NaN: unknown.
     rate_error: error of the predicted rate of V relative to the rate, NaN: unknown.
     """
 
     def __init__(self, metrics: Metrics) -> None:
         self.metrics, self.run = metrics, metrics.run
         columns, powers = self.run.columns, metrics.columns
-        rows = kept_rows(columns, powers)
-        self.states = columns.at(rows) | powers.at(rows)
+        rows = kept_rows(len(columns), columns.each(STATES), powers.each((*STORED, *RATES, *FLOWS)))
+        self.states = columns.at(rows, STATES) | powers.at(rows, STORED)
         self.states["largest_error"] = np.abs(self.states["error"]).max(axis=1)
         self.states["largest_effort"] = np.fmax.reduce(np.abs(self.states["u"]), axis=1)
         self.frames = columns.at(np.unique(np.linspace(0, len(columns) - 1, FRAMES).astype(int)))
-        bent = (np.abs(columns.column("q_m", j) - columns.column("q_l", j)) for j in range(len(self.run.joints)))
-        self.deflection = np.array([np.fmax.reduce(each) for each in bent])
-        t = columns.column("t")
-        dt, ends = np.diff(t, prepend=np.nan), rows[rows > 0]
-        self.steps = {name: values[rows > 0] for name, values in self.states.items()} | {"t": t[ends - 1]}
-        flows = ("supplied", "dissipated", "stored", "residual")
-        self.steps["watts"] = np.column_stack([self.steps[name] for name in flows])
-        self.steps["joules"] = np.column_stack([np.nancumsum(powers.column(name) * dt)[ends] for name in flows])
-        measured, predicted = powers.column("measured"), powers.column("predicted")
-        known = np.isfinite(measured + predicted)
-        size = float(np.abs(measured[known]).sum())
-        self.rate_error = float(np.abs(predicted - measured)[known].sum()) / size if size else math.nan
+        bent = [np.fmax.reduce(np.abs(part["q_m"] - part["q_l"])) for part in columns.parts()]
+        self.deflection = np.asarray(np.fmax.reduce(bent))
+        ends = rows[rows > 0]
+        self.steps = powers.at(ends, (*RATES, *FLOWS))
+        self.steps["t"] = columns.at(ends - 1)["t"]
+        self.steps["watts"] = np.column_stack([self.steps[name] for name in FLOWS])
+        self.steps["joules"], self.rate_error = _along(columns, powers, ends)
 
     @property
     def relative_storage(self) -> Array:
@@ -64,11 +63,25 @@ class Shown:
         return V / (V[0] or 1.0)
 
 
-def kept_rows(*tables: Columns) -> NDArray[np.intp]:
+def _along(columns: Columns, powers: Columns, ends: NDArray[np.intp]) -> tuple[Array, float]:
+    """Return the energies (k, 4) [J] of FLOWS up to the rows `ends`, and the error of the predicted rate of V."""
+    joules, total, begin, last, wrong, size = [], np.zeros(len(FLOWS)), 0, np.nan, 0.0, 0.0
+    for part, power in zip(columns.parts(), powers.parts(), strict=True):
+        dt = np.diff(part["t"], prepend=last)
+        done = total + np.nancumsum(np.column_stack([power[name] * dt for name in FLOWS]), axis=0)
+        joules.append(done[ends[(ends >= begin) & (ends < begin + len(dt))] - begin])
+        begin, last, total = begin + len(dt), part["t"][-1], done[-1]
+        known = np.isfinite(power["predicted"] + power["measured"])
+        wrong += float(np.abs(power["predicted"] - power["measured"])[known].sum())
+        size += float(np.abs(power["measured"])[known].sum())
+    return np.concatenate(joules), wrong / size if size else math.nan
+
+
+def kept_rows(states: int, *columns: Iterator[Array]) -> NDArray[np.intp]:
     """Return all rows of a run up to EVERY states, else those with the extremes of each column in each of BUCKETS."""
-    if len(tables[0]) <= EVERY:
-        return np.arange(len(tables[0]))
-    return np.unique(np.concatenate([extremes(column[None], BUCKETS) for column in chain(*tables)]))
+    if states <= EVERY:
+        return np.arange(states)
+    return np.unique(np.concatenate([extremes(column[None], BUCKETS) for column in chain(*columns)]))
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ def write_table(metrics: Metrics, file: Path) -> None:
 def time_series(metrics: Metrics) -> Iterator[dict[str, Array]]:
     """Yield the columns (k,) of a table of a run, block by block, by name, joint and unit: `q_l.joint1 [rad]`."""
     run = metrics.run
-    for signals, powers in zip(run.columns.blocks(), metrics.columns.blocks(), strict=True):
+    for signals, powers in zip(run.columns.parts(), metrics.columns.parts(), strict=True):
         block = signals | powers
         columns = {f"{name} [{unit}]": block[name] for name, unit in OF_ALL.items()}
         for name, quantity in OF_JOINTS.items():
