@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
@@ -52,6 +53,7 @@ class Bare(Node):
     ended = None
 
     def __init__(self, name: str) -> None:
+        self.over = Future()  # never done: signals end the process
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         given = {key: value.value for key, value in self.get_parameters_by_prefix("").items()}
         self.values: dict[str, Any] = {p.name: given.get(p.name, p.default) for p in process_parameters()}
