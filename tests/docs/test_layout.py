@@ -85,7 +85,7 @@ LAYERS = {
 BUDGETS = {
     "fjr_core": 13_150,
     "fjr_msgs_py": 3_650,
-    "fjr_monitor": 7_520,
+    "fjr_monitor": 7_530,
     "fjr_plant": 1_380,
     "fjr_controller": 1_760,
     "fjr_design": 9_200,

@@ -248,13 +248,14 @@ def _of_stamps(times: tuple[Times, Times], stamp: Times, sent: Times) -> tuple[P
     times: stamps and send times of the messages. sent: send times of the states of the section, among which the message
     was sent.
     """
-    nothing, (stamps, when) = np.full(len(stamp), -1), times
-    inside = np.flatnonzero((when >= sent[0]) & (when <= sent[-1] + AFTERWARDS))
+    stamps, when = times
+    inside = np.flatnonzero((when >= sent[0]) & (when <= sent[-1] + AFTERWARDS)).astype(np.int32)
     if not len(inside):
-        return nothing.astype(np.int32), nothing
-    first = inside[first_of_each_stamp(stamps[inside])]
-    place, found = match_stamps(stamp, stamps[first])
-    return np.where(found, first[place], -1).astype(np.int32), np.where(found, when[first[place]], -1)
+        return np.full(len(stamp), -1, dtype=np.int32), np.full(len(stamp), -1)
+    inside = inside[first_of_each_stamp(stamps[inside])]
+    place, found = match_stamps(stamp, stamps[inside])
+    rows = inside[place]
+    return np.where(found, rows, np.int32(-1)), np.where(found, when[rows], -1)
 
 
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
@@ -264,5 +265,6 @@ def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
 
 def match_stamps(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Find each stamp in the sorted `others`: return row indices, and a mask of the stamps that were found."""
-    place = np.minimum(np.searchsorted(others, stamps), len(others) - 1)
+    place = np.searchsorted(others, stamps)
+    np.minimum(place, len(others) - 1, out=place)
     return place, others[place] == stamps
