@@ -200,7 +200,7 @@ def deflection(robot: Any, tau: ca.SX) -> ca.SX:
 
 
 def secant(robot: Any, a: ca.SX, b: ca.SX) -> Any:
-    """Return S (n, n) [N m/rad] with phi(a) - phi(b) = S (a - b); it is K for straight robot."""
+    """Return S (n, n) [N m/rad] with phi(a) - phi(b) = S (a - b); it is K for straight springs."""
     return ca.diag(_of_joints(robot, "secant", a, b)) if robot.curves else robot.K
 
 

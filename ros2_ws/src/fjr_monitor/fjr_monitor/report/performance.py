@@ -24,6 +24,7 @@ from fjr_monitor.recording.signals import END, RunSignals
 STEADY_AFTER = 2.0  # s; metrics "after 2 s" exclude the transient
 SETTLED = 0.02  # of the initial error
 AT_LIMIT = 1.0 - 1e-6  # share of an effort limit from which a command counts as saturated
+FLOWS = ("supplied", "dissipated", "stored", "residual")  # of energy
 DECAYED = 1e-4  # of V(0): the decay rate is measured down to this value
 
 
@@ -248,15 +249,11 @@ def _torque(part: RunData, B_m: Array) -> Array:
 
 def energy(t: Array, columns: Columns) -> Energy:
     """Return the energies of a run; columns: powers of `steps` of all states, at times t (k,) [s]."""
-    dt, residual = np.diff(t, prepend=np.nan), columns.column("residual")
-    known, joules = np.isfinite(residual), {"residual": float(np.nansum(residual * dt))}
-    left = float(np.linalg.norm(residual[known]))
-    for name in ("dissipated", "stored", "supplied"):
-        power = columns.column(name)
-        joules[name] = float(np.nansum(power * dt))
-    supplied = float(np.linalg.norm(power[known]))
-    ratio = left / supplied if supplied else math.nan
-    return Energy(**{f"{name}_j": each for name, each in joules.items()}, rms_residual_of_supplied=ratio)
+    dt, residual, supplied = np.diff(t, prepend=np.nan), columns.column("residual"), columns.column("supplied")
+    known = np.isfinite(residual)
+    left, whole = (float(np.linalg.norm(power[known])) for power in (residual, supplied))
+    joules = {f"{name}_j": float(np.nansum(columns.column(name) * dt)) for name in FLOWS}
+    return Energy(**joules, rms_residual_of_supplied=left / whole if whole else math.nan)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.report.html import ArmReplay, extremes
 from fjr_monitor.report.metrics import Metrics, Report
+from fjr_monitor.report.performance import FLOWS
 from fjr_monitor.scene import scene
 from fjr_msgs_py.console.output import number
 
@@ -28,7 +29,6 @@ VISIBLE = 0.3  # rad or m, of the largest deflection as magnified at first
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 STATES = ("t", "q_l", "q_ld", "error", "u", "external_torque", "since", "latency")  # columns that are shown
 STORED, RATES = ("V", "H"), ("measured", "predicted", "least")
-FLOWS = ("supplied", "dissipated", "stored", "residual")  # of energy
 FRAMES = 900  # of the motion of an arm; the page interpolates between them
 
 
