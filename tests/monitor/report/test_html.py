@@ -20,7 +20,7 @@ from fjr_monitor.diagnosis.verdict import Diagnosis
 from fjr_monitor.report import comparison_page, html
 from fjr_monitor.report.html import STORED, Line, Plot, Pool, decimated, drawable
 from fjr_monitor.report.run_page import HALF, bins
-from fjr_msgs_py.console.output import milliseconds, number, percent
+from fjr_msgs_py.console.output import milli, number, percent
 from fjr_msgs_py.node.reports import VERDICT_LEVELS
 
 VALUES = st.floats(-1e6, 1e6, width=32)
@@ -93,7 +93,7 @@ def test_histograms_count_every_value(times: list[int]) -> None:
 )
 def test_numbers_are_formatted_readably(value: float | None, text: str) -> None:
     assert number(value) == text
-    assert (number(0.5, "s"), percent(0.99861), milliseconds(310.0)) == ("0.5 s", "99.86 %", "0.31 ms")
+    assert (number(0.5, "s"), percent(0.99861), milli(3.1e-4, "s")) == ("0.5 s", "99.86 %", "0.31 ms")
 
 
 HOSTILE = "</script><b onload='x' title=\"y\">&amp;"

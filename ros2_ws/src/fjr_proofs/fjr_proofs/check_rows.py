@@ -130,7 +130,7 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     conditions = ", ".join([*(_error(*error, payload_position(scenario)) for error in bound.errors.items()), delay])
     conditions += _without(scenario, bound.errors)
     if not bound.found:
-        return f"none found with {conditions}; expected smaller errors"
+        return f"none found with {conditions}; expected smaller errors or more --seconds"
     basis = "proven" if bound.proven else f"from sampled constants, not proven: {hint}"
     steady = bound.proven and not np.all(np.isfinite(bound.from_start))
     when = "in steady motion" if steady else "after the transient"

@@ -202,8 +202,8 @@ def sweep_plots(sweep: Sweep, column: ReadColumn, summary: Summary) -> list[Plot
 def _share(number: int, effect: Effect, log: bool) -> Plot:
     """Plot the success rate over a parameter, in bins of equal probability."""
     lines = [
-        Line("95 %: to", _held(effect.high), GOOD, 0.8, step=True),
-        Line("from", _held(effect.low), GOOD, 0.8, step=True),
+        Line("95 % interval", _held(effect.high), GOOD, 0.8, step=True),
+        Line("", _held(effect.low), GOOD, 0.8, step=True),
         Line("success", _held(effect.share), GOOD, 2.0, step=True),
     ]
     return Plot(

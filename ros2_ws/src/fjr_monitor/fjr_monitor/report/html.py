@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fjr_core.errors import FjrError
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
-from fjr_msgs_py.console.output import milliseconds, number, percent, sentence
+from fjr_msgs_py.console.output import milli, number, percent
 from fjr_msgs_py.console.provenance import provenance, without_home
 
 if TYPE_CHECKING:
@@ -219,6 +219,11 @@ def asset(name: str) -> str:
         ) from None
 
 
+def sentence(text: str) -> str:
+    """Return a clause as a sentence: with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."
+
+
 @cache
 def environment() -> Environment:
     """Return the Jinja2 environment of the pages: every value is escaped, an undefined name is an error."""
@@ -233,8 +238,8 @@ def environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    made.filters |= {"number": number, "percent": percent, "milliseconds": milliseconds, "sentence": sentence}
-    made.filters["without_home"] = without_home
+    made.filters |= {"number": number, "percent": percent, "sentence": sentence, "without_home": without_home}
+    made.filters["milliseconds"] = lambda microseconds: milli(1e-6 * microseconds, "s")
     made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": SCRIPT, "STYLE": STYLE, "THREE": THREE}
     static = files("fjr_monitor") / TEMPLATES  # files that go into a page as they are, like those of uPlot
     made.globals["static"] = lambda name: Markup((static / name).read_text(encoding="utf-8"))

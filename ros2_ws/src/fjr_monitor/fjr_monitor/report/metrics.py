@@ -7,10 +7,8 @@ docs/tables/json.md defines each metric.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -42,7 +40,7 @@ from fjr_monitor.report.performance import (
     timing,
     tracked,
 )
-from fjr_msgs_py.console.output import finite, number, percent
+from fjr_msgs_py.console.output import finite, milli, number, percent
 from fjr_msgs_py.console.provenance import Provenance
 
 AFTER_CONTACT = 0.5  # s
@@ -52,8 +50,6 @@ TIMED = ("delay", "loss", SAMPLING)
 VERSIONS = ("fjr", "fjr_core", "fjr_bringup", "ros-jazzy-rclpy", "rclpy", "numpy", "casadi", "mcap", "rosbags")
 
 Status = Literal["stopped", "late", "holding", "degraded", "violated", "unknown"]
-Formatter = Callable[[float, str], str]  # (value, unit) -> text
-FOUR_DIGITS: Formatter = partial(number, digits=4)
 
 
 @dataclass(frozen=True)
@@ -122,14 +118,19 @@ class Report:
         return joined(each.position_unit for each in self.joints)
 
     @property
+    def error_unit(self) -> str:
+        """Return the unit of tracking errors as they are shown: mrad, mm, or both."""
+        return joined(f"m{each.position_unit}" for each in self.joints)
+
+    @property
     def effort_unit(self) -> str:
         """Return the effort unit of the joints: N m, N, or both."""
         return joined(each.effort_unit for each in self.joints)
 
-    def peak_effort(self, write: Formatter = FOUR_DIGITS) -> str:
+    def peak_effort(self) -> str:
         """Return the peak effort, e.g. 43.1 N m (joint2)."""
         joint = self.tracking.peak_effort_joint
-        return write(self.tracking.peak_effort_nm, self._joint(joint).effort_unit) + self._at(joint)
+        return number(self.tracking.peak_effort_nm, self._joint(joint).effort_unit, 4) + self._at(joint)
 
     def effort_share(self) -> str:
         """Return the largest share of an effort limit, e.g. 68 % of its limit (joint4); empty without limits."""
@@ -137,19 +138,19 @@ class Report:
         at = self._at(self.tracking.largest_share_joint)
         return "" if share is None else f"{percent(share, 0)} of its limit{at}"
 
-    def peak_effort_and_share(self, write: Formatter = FOUR_DIGITS) -> str:
+    def peak_effort_and_share(self) -> str:
         """Return both, e.g. 43.1 N m (joint2), 68 % of its limit (joint4)."""
-        return ", ".join(filter(None, (self.peak_effort(write), self.effort_share())))
+        return ", ".join(filter(None, (self.peak_effort(), self.effort_share())))
 
     def initial_error(self) -> str:
-        """Return the largest initial error, e.g. 0.5 rad (joint2)."""
+        """Return the largest initial error, e.g. 500 mrad (joint2)."""
         worst = max(self.joints, key=lambda each: each.initial_error_rad)
-        return number(worst.initial_error_rad, worst.position_unit) + self._at(worst.joint)
+        return milli(worst.initial_error_rad, worst.position_unit) + self._at(worst.joint)
 
-    def steady_error(self, write: Formatter = number) -> str:
-        """Return the largest error after 2 s, e.g. 1.4e-4 rad (joint2)."""
+    def steady_error(self) -> str:
+        """Return the largest error after 2 s, e.g. 0.14 mrad (joint2)."""
         error, joint = self.tracking.max_error_after_2s_rad, self.tracking.max_error_after_2s_joint
-        return write(error, self._joint(joint).position_unit) + self._at(joint)
+        return milli(error, self._joint(joint).position_unit) + self._at(joint)
 
     def _joint(self, name: str | None) -> JointMetrics:
         """Return the metrics of a joint, of the first one for None."""

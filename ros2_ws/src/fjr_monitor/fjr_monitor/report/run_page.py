@@ -17,7 +17,7 @@ from fjr_monitor.report.html import ArmReplay, Line, Plot, colour, drawable
 from fjr_monitor.report.metrics import Report
 from fjr_monitor.report.picture import SHADES, draw_plot
 from fjr_monitor.report.shown import Shown
-from fjr_msgs_py.console.output import milliseconds, number, percent, plural
+from fjr_msgs_py.console.output import milli, number, percent, plural
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,8 +95,8 @@ class RunPlots:
             title = f"The error {goes} from {report.initial_error()} to {report.steady_error()}"
         caption = "Tracking error of each joint; log axis."
         caption += f" Within 2 % of the initial error from {number(settled, 's')} on." if settled else ""
-        lines = self._per_joint(np.abs(self._data.states["error"]), width=1.2)
-        label = f"|q_l − q_ld| [{report.position_unit}]"
+        lines = self._per_joint(1e3 * np.abs(self._data.states["error"]), width=1.2)
+        label = f"|q_l − q_ld| [{report.error_unit}]"
         return Plot("error", title, caption, self._t, lines, y_label=label, y_log=True)
 
     def effort(self) -> Plot:
@@ -224,7 +224,7 @@ class RunPlots:
             Line("to its command", states["latency"] * 1e3, "c3", 1.0),
             Line("sample period", np.full(len(self._t), period * 1e3), "grey", 1.0, (6, 4)),
         ]
-        late = "" if counts.late is None else f", {plural(counts.late, 'late answer')}, {counts.unanswered} without"
+        late = "" if counts.late is None else f", {plural(counts.late, 'late answer')}, {counts.unanswered} unanswered"
         caption = "Time from state to state and from state to command, by the middleware's stamps at sending."
         title = plural(counts.gaps, "gap") + late
         return Plot("timeline", title, caption, self._t, lines, y_label="[ms]", y_log=True, wide=True)
@@ -235,7 +235,7 @@ class RunPlots:
 
 def histogram(name: str, title: str, found: tuple[float, float, float], times: Times, label: str, shade: str) -> Plot:
     """Plot a histogram with two log axes that cover all values; found: median, 99 % and largest [us]."""
-    caption = "50 %: {}, 99 %: {}, largest: {}.".format(*map(milliseconds, found))
+    caption = "50 %: {}, 99 %: {}, largest: {}.".format(*(milli(1e-6 * each, "s") for each in found))
     edges, heights = bins(times)
     line = Line("states", heights, shade, 1.2, step=True, fill=True)
     axes = {"x_label": label, "y_label": "states", "x_log": True, "y_log": True, "time": False}

@@ -20,7 +20,7 @@ from fjr_monitor.report.html import ArmReplay, extremes
 from fjr_monitor.report.metrics import Metrics, Report
 from fjr_monitor.report.performance import FLOWS
 from fjr_monitor.scene import scene
-from fjr_msgs_py.console.output import number
+from fjr_msgs_py.console.output import milli
 
 PAGE, METRICS = "report.html", "report.json"
 EVERY = 40_000  # states of a run of which all are kept
@@ -119,7 +119,7 @@ def arm_replay(data: Shown) -> ArmReplay | None:
     title, sizes = "The motion of the links", data.deflection
     if np.isfinite(sizes).any():
         joint = int(np.nanargmax(sizes))
-        largest = number(float(sizes[joint]), data.run.units[joint].position)
+        largest = milli(float(sizes[joint]), data.run.units[joint].position)
         title = f"Largest deflection of a spring: {largest} ({joints[joint]})"
     factor = magnification(motor - link)
     arm = scene(description(values), locked_positions(values))

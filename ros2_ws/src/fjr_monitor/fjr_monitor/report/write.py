@@ -33,7 +33,7 @@ from fjr_monitor.report.picture import write_picture
 from fjr_monitor.report.run_page import draw_overview, write_run_page
 from fjr_monitor.report.shown import METRICS, PAGE, RunSummary, Shown, arm_replay
 from fjr_msgs_py.console.ending import Exit
-from fjr_msgs_py.console.output import Result, aligned, tell
+from fjr_msgs_py.console.output import DASH, Result, aligned, number, percent, tell
 from fjr_msgs_py.console.provenance import Provenance, provenance
 from fjr_msgs_py.console.ros2 import play_command
 from fjr_msgs_py.scenarios import library
@@ -181,7 +181,7 @@ def table(summaries: Sequence[RunSummary]) -> str:
     found = [f"{each.label}: {fault.sentence}" for each in summaries for fault in each.report.verdict.findings]
     advised = [f"{each.label}: {each.report.advice}" for each in summaries if each.report.advice]
     touched = [f"{each.label}: {each.report.contact.sentence}" for each in summaries if each.report.contact]
-    return "\n".join([*stops(summaries), "", lines[0], "-" * len(lines[0]), *lines[1:], *found, *touched, *advised])
+    return "\n".join([*stops(summaries), "", *lines, *found, *touched, *advised])
 
 
 def stops(summaries: Sequence[RunSummary]) -> list[str]:
@@ -202,33 +202,17 @@ def play_hint(bag: Path) -> str:
 
 def _row(label: str, report: Report) -> tuple[str, ...]:
     counts, storage, verdict = report.counts, report.storage, report.verdict
-    in_time = _number(counts.answered_in_time_fraction and 100 * counts.answered_in_time_fraction, "{:.2f} %")
-    decay, kind = "-", verdict.kind + (f": {verdict.detail}" if verdict.detail else "")
+    decay, kind = DASH, verdict.kind + (f": {verdict.detail}" if verdict.detail else "")
     if storage is not None:
-        measured = _number(storage.measured_decay_rate_per_s, "{:.1f}")
-        decay = f"{measured} ({storage.basis}: {storage.least}) 1/s"
+        decay = f"{number(storage.measured_decay_rate_per_s)} ({storage.basis}: {storage.least}) 1/s"
     return (
         label + (" (lock-step)" if report.lockstep else ""),
-        report.peak_effort_and_share(_effort),
-        report.steady_error(_error),
-        f"{in_time} of {counts.published}",
+        report.peak_effort_and_share(),
+        report.steady_error(),
+        f"{percent(counts.answered_in_time_fraction)} of {counts.published}",
         decay,
         {"stopped": "stopped", "late": "none: states or answers were late"}.get(report.status, kind),
     )
-
-
-def _effort(value: float, unit: str) -> str:
-    if not np.isfinite(value):
-        return "-"
-    return f"{value:.2f} {unit}" if value < 1e6 else f"{value:.1e} {unit}"
-
-
-def _error(value: float, unit: str) -> str:
-    return f"{value:.1e} {unit}" if np.isfinite(value) else "-"
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None or not np.isfinite(value) else form.format(value)
 
 
 def report(

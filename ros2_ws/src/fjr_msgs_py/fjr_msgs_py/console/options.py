@@ -89,9 +89,7 @@ SPEED = number("a speed", "0.001 to 1000", lambda value: 1e-3 <= value <= 1e3)
 SAMPLES = number("a delay", "samples, 0 to 20", lambda value: 0 <= value <= 20)
 ENCODER_NOISE = number("a noise", "rad, more than 0, at most 0.1", lambda value: 0 < value <= 0.1)
 DISTANCE = number("a distance", "0 or a positive number", lambda value: 0 <= value < math.inf)
-
 FIRST = 30.0  # s; longest wait for a first message, discovery included
-
 MESSAGES = integer("a number of messages", "1 or more", 1, 1e15)
 SEED = integer("a seed", "0 or more", 0, 2**63)
 PORT = integer("a port", "0 to 65535", 0, 65535)

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import Any
 
 
@@ -66,11 +67,8 @@ def number(value: float | None, unit: str = "", digits: int = 3) -> str:
 
 def interval(low: float, high: float) -> str:
     """Return an interval with as many digits as its ends need to differ, 3 to 8."""
-    for digits in range(3, 9):
-        ends = number(low, digits=digits), number(high, digits=digits)
-        if ends[0] != ends[1]:
-            break
-    return f"{ends[0]} to {ends[1]}"
+    texts = [[number(end, digits=digits) for end in (low, high)] for digits in range(3, 9)]
+    return " to ".join(next((ends for ends in texts if ends[0] != ends[1]), texts[-1]))
 
 
 def percent(fraction: float | None, digits: int = 2) -> str:
@@ -80,14 +78,9 @@ def percent(fraction: float | None, digits: int = 2) -> str:
     return f"{100 * fraction:.{digits}f} %"
 
 
-def sentence(text: str) -> str:
-    """Return a clause as a sentence: with a capital and a full stop."""
-    return f"{text[:1].upper()}{text[1:]}."
-
-
-def milliseconds(microseconds: float | None) -> str:
-    """Return microseconds as milliseconds, as 0.28 ms."""
-    return number(None if microseconds is None else microseconds * 1e-3, "ms")
+def milli(value: float | None, unit: str, digits: int = 3) -> str:
+    """Return a value in thousandths of its unit, as 0.28 ms or 6.8 mrad."""
+    return number(None if value is None else 1e3 * value, f"m{unit}", digits)
 
 
 def plural(count: int, one: str, many: str = "") -> str:
@@ -96,9 +89,18 @@ def plural(count: int, one: str, many: str = "") -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table whose columns are as wide as their longest cell."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    """Return the lines of a table; columns that a terminal has no room for follow below, beside the first one."""
+    room, begin, lines = shutil.get_terminal_size((sys.maxsize, 0)).columns, 1, []
+    widths = [max(map(len, column)) + 2 for column in zip(*rows, strict=True)]
+    while begin < len(widths):
+        fitting = (end for end in range(len(widths), begin, -1) if widths[0] + sum(widths[begin:end]) <= room + 2)
+        end = next(fitting, begin + 1)
+        for row in rows:
+            *cells, last = (row[i].ljust(widths[i]) for i in (0, *range(begin, end)))
+            indent = " " * min(sum(map(len, cells)), room // 2)
+            lines += wrap("".join([*cells, last]), room, subsequent_indent=indent, break_long_words=False) or [""]
+        begin = end
+    return lines
 
 
 BEAT = 2.0  # s
@@ -111,8 +113,8 @@ def progress_bar(line: str, form: str, **options: Any) -> Any:
     terminal = sys.stderr.isatty()
     if not terminal:
         note(line)
-    width = shutil.get_terminal_size().columns  # 80 if the terminal has no size; tqdm would draw nothing
-    return tqdm(bar_format=form, disable=not terminal, file=sys.stderr, ncols=width, **options)
+    options["ncols"] = shutil.get_terminal_size().columns  # 80 if the terminal has no size; tqdm would draw nothing
+    return tqdm(bar_format=form, disable=not terminal, file=sys.stderr, **options)
 
 
 def note(line: str) -> None:

@@ -101,7 +101,8 @@ def bound_errors(
     or one for each joint or axis (`UncertainRobot`, also for payload_position), largest TORQUES [N m] that act at any
     joint with any time course, and that of the DELAY, which stays between two whole numbers of samples. progress: see
     `Progress`. prove: whether a proof is tried; None: where it takes seconds, with up to SECONDS_TO_PROVE joints or
-    without an error of a parameter. If it is True and found, the box is divided for `seconds` for one from the start.
+    without an error of a parameter. seconds: longest time of the divisions, half of it for a proof; if prove is True,
+    only of those for a bound from the start.
     Raises ParameterError for an unknown name, an error that is negative or too large, and a reference that has neither
     a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative;
     CompilerError without a C compiler.
@@ -122,13 +123,14 @@ def bound_errors(
     model = DeviationModel(law, UncertainRobot(law.robot, errors, payload_position))
     box = -np.ones(model.uncertain.count), np.ones(model.uncertain.count)
     given, late = (model, reference, sample_period, delay, np.repeat(torques, n)), sample_period * float(sizes[DELAY])
-    search = Search(*given, verified=True, late=late, asked=prove is True, seconds=seconds)
+    begin = np.inf if prove else time.monotonic()
+    search = Search(*given, verified=True, late=late, asked=prove is True, seconds=seconds, end=begin + seconds / 2)
     if prove is None:
         prove = n <= SECONDS_TO_PROVE or not model.uncertain.count
     boxes = search.boxes(*box, progress) if prove and search.applies else []
     proven = bool(boxes) and all(box.has_tube for box in boxes)
     if not proven:
-        boxes = Search(*given, verified=False, late=late).boxes(*box, progress)
+        boxes = Search(*given, verified=False, late=late, end=begin + seconds).boxes(*box, progress)
     ultimate = np.max([box.ultimate for box in boxes], axis=0)
     start = np.max([box.from_start for box in boxes], axis=0)
     storage = float(np.max([box.storage for box in boxes]))
@@ -215,7 +217,7 @@ class Search:
     """Division of the box of factors into parts with invariant tubes.
 
     disturbing (2n,) [N m]: torques on links and motors beside the errors of the factors. late: of LinearLoop. asked: of
-    MOST_PARTS. seconds: longest time of the division for a bound from the start.
+    MOST_PARTS. seconds: longest time of the division for a bound from the start. end: when other divisions end [s].
     """
 
     model: DeviationModel
@@ -227,6 +229,7 @@ class Search:
     late: float = 0.0
     asked: bool = False
     seconds: float = np.inf
+    end: float = np.inf
 
     @cached_property
     def cells(self) -> Cells:
@@ -251,7 +254,8 @@ class Search:
     def boxes(self, low: Array, high: Array, progress: Progress = lambda share: None) -> list[FactorBox]:
         """Divide the box until each part has a tube, then the part with the largest bound until it is tight.
 
-        A part without a tube that cannot be divided, as it is narrow or parts are or will be too many, ends the search.
+        A part without a tube that cannot be divided, as it is narrow, parts are or will be too many or the time is
+        over, ends the search.
         """
         waiting: list[tuple[Array, Array, CentreMotion | None]] = [(low, high, None)]
         boxes: list[FactorBox] = []
@@ -264,7 +268,7 @@ class Search:
                 waiting += [(*ends, box.centre) for ends in box.divided()]
             else:
                 return [box]
-        while len(boxes) < MOST_PARTS[self.asked]:
+        while len(boxes) < MOST_PARTS[self.asked] and time.monotonic() < self.end:
             worst = max(boxes, key=lambda box: box.size)
             if worst.excess <= TIGHT or worst.narrow:
                 break
@@ -289,8 +293,8 @@ class Search:
         return boxes
 
     def _divisible(self, box: FactorBox, parts: int, low: Array, high: Array) -> bool:
-        """Return whether a box, one of `parts`, can be divided: it is wide, and parts are and will be few enough."""
-        if box.narrow or parts >= MOST_PARTS[self.asked]:
+        """Return whether a box, one of `parts`, can be divided: wide, in time, and parts are and will be few enough."""
+        if box.narrow or parts >= MOST_PARTS[self.asked] or time.monotonic() > self.end:
             return False
         return bool(2.0 ** box.halvings.sum() <= HOPELESS * MOST_PARTS[self.asked] * box.volume(low, high))
 

@@ -27,36 +27,49 @@
     const size = Math.abs(value);
     if (size !== 0 && (size < 1e-3 || size >= 1e5)) {
       const [mantissa, exponent] = value.toExponential(2).split("e");
-      return `${mantissa}·${raised(Number(exponent))}`;
+      return `${Number(mantissa)}·${raised(Number(exponent))}`;
     }
     return String(Number(value.toPrecision(4)));
   }
 
-  // Return the ticks of a log axis: powers of ten, as many as fit, or 1, 2, 5 if the axis spans few decades.
+  // Return the ticks of a log axis: powers of ten, as many as fit; 1, 2, 5 if it spans few decades; even steps within one.
   function logSplits(plot, axis, low, high) {
     const [first, last] = [Math.floor(Math.log10(low)), Math.ceil(Math.log10(high))];
     const room = (axis === 0 ? plot.bbox.width / 45 : plot.bbox.height / 34) / devicePixelRatio;
+    const ticks = [];
+    if (high < 10 * low) {
+      const least = (high - low) / Math.min(room, 6);
+      const power = 10 ** Math.floor(Math.log10(least));
+      const step = power * [1, 2, 5, 10].find((digit) => digit * power >= least);
+      for (let count = Math.ceil(low / step); count * step <= high; count++) ticks.push(count * step);
+      return ticks;
+    }
     const digits = last - first <= 3 && 3 * (last - first) <= 1.2 * room ? [1, 2, 5] : [1];
     const step = Math.max(1, Math.ceil(Math.log10(high / low) / room));
-    const ticks = [];
     for (let power = Math.ceil(first / step) * step; power <= last; power += step) {
       for (const digit of digits) ticks.push(digit * 10 ** power);
     }
     return ticks.filter((tick) => tick >= low && tick <= high);
   }
 
+  // Label all ticks alike: as numbers within three decades of 1, else as powers of ten.
   function logLabels(_plot, ticks) {
-    const few = ticks.length < 2 || ticks[ticks.length - 1] / ticks[0] <= 1e4;
+    const plain = ticks.every((tick) => tick >= 0.99e-3 && tick <= 1.01e3);
     return ticks.map((tick) => {
-      const exponent = Math.floor(Math.log10(tick) + 1e-9);
-      if (exponent === 0 || (few && exponent >= -2 && exponent <= 3)) return String(Number(tick.toPrecision(1)));
-      const digit = Math.round(tick / 10 ** exponent);
-      return digit === 1 ? raised(exponent) : `${digit}·${raised(exponent)}`;
+      const exponent = plain ? 0 : Math.floor(Math.log10(tick) + 1e-9);
+      const digit = Number((tick / 10 ** exponent).toPrecision(3));
+      return exponent === 0 ? String(digit) : digit === 1 ? raised(exponent) : `${digit}·${raised(exponent)}`;
     });
   }
 
   // uPlot's own labels have three decimals only.
-  const labels = (_plot, ticks) => ticks.map((tick) => String(Number(tick.toPrecision(8))));
+  function labels(_plot, ticks) {
+    const small = ticks.every((tick) => Math.abs(tick) < 1e-3);
+    return ticks.map((tick) => (small && tick ? written(tick) : String(Number(tick.toPrecision(8)))));
+  }
+
+  // An axis of values is as wide as its labels, and at least as wide as that of other plots.
+  const wide = (least) => (_plot, texts) => Math.max(least, 14 + 6.5 * Math.max(0, ...(texts || []).map((text) => text.length)));
 
   function axis(label, log, across, small) {
     const look = {
@@ -67,7 +80,7 @@
       stroke: () => css("soft"),
       grid: { stroke: () => css("grid"), width: 1 },
       ticks: { show: false },
-      size: across ? 28 : small ? 42 : 58,
+      size: across ? 28 : wide(small ? 42 : 58),
       values: labels,
     };
     if (log) Object.assign(look, { splits: logSplits, values: logLabels, filter: (_plot, ticks) => ticks });
