@@ -324,7 +324,7 @@ REFUSED = {
     "expected 1e-05 to 0.1 s (is the unit of the time right?)": GRID * 1e3,
     "expected one sample period": np.where(GRID > 1.0, 2 * GRID - 1.0, GRID),
     "the time of sample 7 is not finite": np.where(GRID[7] == GRID, np.nan, GRID),
-    "of the steps are longer than the usual 2 ms; expected at most 1%": GRID[np.arange(K) % 10 > 0],
+    "of the steps are longer than the usual 2 ms; expected at most 1 %": GRID[np.arange(K) % 10 > 0],
     "has 1 samples; expected at least 2": GRID[:1],
 }
 

@@ -84,6 +84,13 @@ def test_missing_data_are_reported() -> None:
     assert "no state for 2.5 s" in text(dataclasses.replace(FULL, silence=2.5))
 
 
+def test_a_bound_that_has_vanished_is_not_shown_as_a_number_and_lines_fit_a_narrow_terminal() -> None:
+    certificate = {**(FULL.certificate or {}), "bound": 4.2e-88}
+    shown = text(dataclasses.replace(FULL, certificate=certificate, history=tuple(0.8**k for k in range(90))))
+    assert "bound below 1e-20 J" in shown
+    assert "e-88" not in shown
+
+
 def test_bars_show_decades_of_errors_and_the_sign_of_efforts_up_to_the_limit() -> None:
     for value, bar in ((0.0, "    "), (1e-7, "    "), (1e-6, "    "), (1e-3, "██  "), (1.0, "████"), (50.0, "████")):
         assert log_bar(value, 4) == bar

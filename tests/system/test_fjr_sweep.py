@@ -153,7 +153,7 @@ def test_a_sweep_without_matplotlib_names_what_it_leaves_out(
     again = fjr_here("sweep", f"{folder}.yaml", "--output", str(folder.parent))
     assert f"{folder / 'overview.png'} is left out" in again
     assert f"open {folder / 'report.html'}" in again
-    assert f"{100 * figures['succeeded'] / 160:.2f} % of 160 succeed" in again
+    assert f"{100 * figures['succeeded'] / 160:.2f} % of 160 runs succeed" in again
 
 
 def test_page_draws_all_plots_and_the_influence_at_any_width(study: Path, browser: Browser) -> None:

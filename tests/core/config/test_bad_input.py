@@ -21,7 +21,6 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.files import text_file
 from fjr_core.monitoring.external_torque import ExternalTorqueObserver, StatedErrors
 from fjr_core.robust.law import Robust, RobustLaw
-from fjr_core.runtime.velocity_observer import error_radii
 from fjr_core.simulation.imperfections import Imperfections
 from fuzzing import answer, bytes_of, documents, fuzzed, refused, texts
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
@@ -60,7 +59,6 @@ MAKE: dict[str, tuple[type[fjr.FjrError], Callable[..., object]]] = {
     "observer": (fjr.ParameterError, partial(fjr.VelocityObserver, ROBOT)),
     "torque observer": (fjr.ParameterError, partial(ExternalTorqueObserver, ROBOT)),
     "stated errors": (fjr.ParameterError, partial(StatedErrors, 2)),
-    "observer's errors": (fjr.StateError, partial(error_radii, ROBOT, 150.0)),
     "simulation": (fjr.StateError, run),
     "plant": (fjr.ParameterError, partial(fjr.Plant, ROBOT)),
 }
@@ -131,8 +129,6 @@ VALUES = [
     ("stated errors", {"torque_noise": 0.0}, "torque_noise is [0.0, 0.0] N m; expected 1e-09 to"),
     ("stated errors", {"joint_stiffness": [0.1] * 3}, "joint_stiffness has shape (3,); expected a scalar or (2,)"),
     ("stated errors", {"link_torque": NAN}, "link_torque is nan; expected finite"),
-    ("observer's errors", {"sample_period": 0.0}, "sample_period"),
-    ("observer's errors", {"sample_period": 0.2}, "sample_period"),
     ("plant", {"integrator": "euler"}, "euler", "rk4", "implicit_midpoint"),
     ("simulation", {"x0": X[:4]}, "x0", "(4,)", "(8,)"),
     ("simulation", {"x0": np.full(8, NAN)}, "x0", "nan", "finite"),

@@ -11,9 +11,10 @@ import pytest
 
 import fjr_core as fjr
 from core.oracles.cases import ARMS, Arm
+from core.oracles.observer_error import error_radii
 from fjr_core.config.controller import BANDWIDTH
 from fjr_core.runtime.measurement_model import OBSERVER
-from fjr_core.runtime.velocity_observer import LONGEST_GAP, corrections, error_radii, first_corrections
+from fjr_core.runtime.velocity_observer import LONGEST_GAP, corrections, first_corrections
 from fjr_design.batch import Draws, scenario_loop
 from fjr_msgs_py.scenarios import library
 

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from core.oracles.observer_error import error_radii
 from design.stability.test_sampled_loop import elastic_modes, scaled
 from fjr_core.config.scenario import load_scenario
 from fjr_core.extensions.law_registry import LAWS, law_kind
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust, sampled_law
-from fjr_core.runtime.velocity_observer import VelocityObserver, error_radii
+from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.linearization import linearize, refuse_fast_integral, spectral_radius
 from fjr_design.stability.sampled_loop import contracting

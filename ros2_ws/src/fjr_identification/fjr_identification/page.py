@@ -177,7 +177,7 @@ def _fits(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
         lines = [Line("measured", measured, "grey", 1.2), Line("predicted", predicted, colour(j), 1.5)]
         title, share = f"{joint}: {what}", np.sqrt(np.maximum(1 - fit.explained[j], 0.0))
         if np.isfinite(share):
-            title = f"{joint}: {share:.1%} of the deflection unexplained (root mean square)"
+            title = f"{joint}: {100 * share:.1f} % of the deflection unexplained (root mean square)"
         yield Plot(f"{place}-fit-{j}", title, f"{what}; {by}.", fit.t, lines, y_label=what, place=place)
 
 

@@ -134,7 +134,7 @@ def clipped(record: MotionRecord) -> Iterator[Finding]:
             apart = [u[i] for i in (start - length, start + 2 * length - 1) if 0 <= i < len(u)]
             drop = max((abs(extreme - value) for value in apart), default=0.0)
             if length >= CLIPPED_RUN * usual and drop > PEAK * resolution:
-                often = f"{np.mean(u == extreme):.1%} of the samples, up to {length} in a row"
+                often = f"{100 * np.mean(u == extreme):.1f} % of the samples, up to {length} in a row"
                 seen = f"effort of {joint} is {extreme:.6g} N m at {often}"
                 yield contradiction(CLIPPED, joint, seen, "an effort that is not clipped")
 

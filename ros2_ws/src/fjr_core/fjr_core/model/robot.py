@@ -22,22 +22,18 @@ from . import springs
 from .rigid_arm import ArmDynamics, RigidArm
 
 
-class Elastic:
+class Elastic(springs.Springs):
     """Parameters of eq. (36), as numbers (Robot) or as expressions (SymbolicRobot), and its terms as expressions.
 
-    Fields as in Robot. curves: CubicCurve or TorsionCurve of each joint (model.springs); none: straight springs. added
-    (n,) [N m/rad^3]: cubic stiffness beside the curves, None for none.
+    Fields as in Robot and springs.Springs.
     """
 
     links: RigidArm
     M_m: Any
     M_m_inverse: Any
-    K: Any
-    curves: Any
     D_l: Any
     D_m: Any
     B_m: Any
-    added: Any = None
 
     @property
     def n(self) -> int:
@@ -68,7 +64,8 @@ class SymbolicRobot(Elastic):
     """A robot with some parameters replaced, by numbers or expressions."""
 
     def __init__(self, robot: Elastic, **changed: Any) -> None:
-        vars(self).update({name: changed.get(name, getattr(robot, name)) for name in Elastic.__annotations__})
+        names = springs.Springs.__annotations__ | Elastic.__annotations__
+        vars(self).update({name: changed.get(name, getattr(robot, name)) for name in names})
 
 
 @dataclass(frozen=True, eq=False)

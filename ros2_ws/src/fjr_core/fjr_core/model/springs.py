@@ -7,7 +7,6 @@
 
 The law needs the torque, its integral, the tangent phi', the secant S with phi(a) - phi(b) = S (a - b), and the
 inverse. Curves are monotone, so the inverse is their only real root. K is diagonal where a joint has a curve.
-robot: with its K and curves, a robot.Elastic.
 """
 
 from __future__ import annotations
@@ -182,39 +181,51 @@ def torsion_curve(K: float, deflection: Array, torque: Array) -> TorsionCurve:
     return TorsionCurve(edge, starts, stiffness, slope, energy)
 
 
-def torque(robot: Any, zeta: ca.SX) -> ca.SX:
+class Springs:
+    """Parameters of the springs of a robot, K (n, n) [N m/rad].
+
+    curves: CubicCurve or TorsionCurve of each joint; none: straight springs. added (n,) [N m/rad^3]: cubic stiffness
+    beside the curves, None for none.
+    """
+
+    K: Any
+    curves: Any
+    added: Any = None
+
+
+def torque(robot: Springs, zeta: ca.SX) -> ca.SX:
     """Return the joint torque phi(zeta) (n,) [N m]."""
     found = _of_joints(robot, "phi", zeta) if robot.curves else robot.K @ zeta
     return found if robot.added is None else found + robot.added * zeta**3
 
 
-def energy(robot: Any, zeta: ca.SX) -> ca.SX:
+def energy(robot: Springs, zeta: ca.SX) -> ca.SX:
     """Return the energy of the springs [J] at a deflection (n,)."""
     stored = ca.sum1(_of_joints(robot, "stored", zeta)) if robot.curves else ca.dot(zeta, robot.K @ zeta) / 2
     return stored if robot.added is None else stored + ca.dot(robot.added, zeta**4) / 4
 
 
-def deflection(robot: Any, tau: ca.SX) -> ca.SX:
+def deflection(robot: Springs, tau: ca.SX) -> ca.SX:
     """Return phi^-1(tau) (n, ..) [rad] for torques (n, ..) [N m] of springs with numeric parameters."""
     return _of_joints(robot, "inverse", tau) if robot.curves else np.linalg.inv(robot.K) @ tau
 
 
-def secant(robot: Any, a: ca.SX, b: ca.SX) -> Any:
+def secant(robot: Springs, a: ca.SX, b: ca.SX) -> Any:
     """Return S (n, n) [N m/rad] with phi(a) - phi(b) = S (a - b); it is K for straight springs."""
     return ca.diag(_of_joints(robot, "secant", a, b)) if robot.curves else robot.K
 
 
-def compliance(robot: Any, zeta: ca.SX) -> Any:
+def compliance(robot: Springs, zeta: ca.SX) -> Any:
     """Return phi'(zeta)^-1 (n, n) [rad/(N m)] of springs with numeric parameters."""
     return ca.diag(1 / _of_joints(robot, "tangent", zeta)) if robot.curves else np.linalg.inv(robot.K)
 
 
-def torques(robot: Any, zeta: Array) -> Array:
+def torques(robot: Springs, zeta: Array) -> Array:
     """Return phi (k, n) [N m] at deflections (k, n) of springs with numeric parameters."""
     return _along(robot, "phi", zeta) if robot.curves else np.asarray(zeta @ robot.K)
 
 
-def hardening(robot: Any, zeta: Array) -> Array:
+def hardening(robot: Springs, zeta: Array) -> Array:
     """Return the tangents phi' over K (k, n) at deflections (k, n) of springs with numeric parameters."""
     return _along(robot, "tangent", zeta) / np.diag(robot.K) if robot.curves else np.ones_like(zeta)
 
@@ -230,12 +241,12 @@ def root(K: float, cubic: float, tau: Any, f: Any = ca) -> Any:
     return 2 * a * f.sinh(f.arcsinh(1.5 / (K * a) * tau) / 3)
 
 
-def _of_joints(robot: Any, name: str, *values: ca.SX) -> ca.SX:
+def _of_joints(robot: Springs, name: str, *values: ca.SX) -> ca.SX:
     """Return a function of the curves (n, ..) at values (n, ..) of the joints."""
     each = zip(robot.curves, *map(ca.vertsplit, values), strict=True)
     return ca.vertcat(*(getattr(curve, name)(*at) for curve, *at in each))
 
 
-def _along(robot: Any, name: str, values: Array) -> Array:
+def _along(robot: Springs, name: str, values: Array) -> Array:
     """Return a function of the curves (k, n) at numbers (k, n)."""
     return np.asarray(ca.evalf(_of_joints(robot, name, ca.DM(values.T))).full().T)

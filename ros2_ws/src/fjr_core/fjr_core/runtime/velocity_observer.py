@@ -12,7 +12,7 @@ Wiley 1998): for constant dq both poles of the error are at z. All links and mot
 Guarantees for an exact model, exact effort and exact positions:
 - An exact estimate stays exact, up to the integrator error.
 - A small error decays exponentially if the spectral radius of the linearised error dynamics is below 1
-  (error_radii: about equilibria, at sampled configurations). No global result is claimed.
+  (tested about equilibria, at sampled configurations). No global result is claimed.
 - Without damping the linearised error dynamics split into the 2n modes of the robot. A mode omega, theta = omega dt,
   has the poles of lambda^2 - ((1 + z^2) cos(theta) - (1 - z)^2 sin(theta) / theta) lambda + z^2. Complex poles have
   modulus z. The modulus is below 1 for every bandwidth up to theta = 2.33 (371 Hz at 1 kHz), and for a small bandwidth
@@ -33,7 +33,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import ParameterError, StateError
+from ..errors import ParameterError
 from ..law.linearized import equilibria_at, plant_matrices
 from ..model.configuration_sampling import checked_configurations
 from ..model.port_hamiltonian import Plant
@@ -154,28 +154,3 @@ def steps_of(robot: Robot) -> int:
     points = equilibria_at(robot, checked_configurations(robot, None, CONFIGURATIONS))
     fastest = float(np.abs(np.linalg.eigvals(plant_matrices(points)[0])).max())
     return min(max(math.ceil(LONGEST_CALL * fastest / LARGEST_STEP), FEWEST_STEPS), MOST_STEPS)
-
-
-def error_radii(robot: Robot, bandwidth: float, sample_period: float, configurations: ArrayLike | None = None) -> Array:
-    """Return the spectral radii (k,) of the sampled error dynamics about equilibria at configurations (k, n) [rad].
-
-    Below 1, a small estimation error decays by this factor per sample. The Jacobian of the observer in x_hat also
-    governs the error, because plant and model steps agree; it includes the integrator. configurations: 64 sampled
-    ones by default. sample_period [s]: at most LONGEST_GAP.
-    Raises StateError for wrong shapes or numbers, ParameterError for the bandwidth.
-    """
-    if not 0 < sample_period <= LONGEST_GAP:
-        raise StateError(f"sample_period is {sample_period} s; expected more than 0 and at most {LONGEST_GAP}")
-    points = equilibria_at(robot, checked_configurations(robot, configurations, CONFIGURATIONS))
-    function = VelocityObserver(robot, bandwidth).function
-    arguments = function.mx_in()
-    jacobian = ca.Function("error_slope", arguments, [ca.densify(ca.jacobian(function(*arguments), arguments[0]))])
-    g, h = corrections(bandwidth, sample_period)
-    calls = math.ceil(sample_period / LONGEST_CALL)
-    dt, gain = sample_period / calls, [g, h / sample_period]
-    radii = []
-    for x, u in zip(points.x, points.u, strict=True):
-        predicted, corrected = (jacobian(x, x[: 2 * robot.n], u, dt, by).full() for by in ([0.0, 0.0], gain))
-        error = corrected @ np.linalg.matrix_power(predicted, calls - 1)
-        radii.append(np.abs(np.linalg.eigvals(error)).max())
-    return np.array(radii)

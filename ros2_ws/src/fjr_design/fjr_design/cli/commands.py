@@ -73,7 +73,7 @@ def new(**given: Any) -> Any:
     type=options.SECONDS,
     metavar="S",
     default=120.0,
-    help="Longest time of the proof of the rate and of the bound of --error; after --prove-error, of one from the start.",
+    help="Longest time of the proof of the rate and of the bound of --error; with --prove-error of one from the start.",
 )
 @click.option(
     "--error",

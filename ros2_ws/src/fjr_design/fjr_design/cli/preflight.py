@@ -120,4 +120,4 @@ def position_unit(scenario: Scenario) -> str:
 
 def as_list(values: Array) -> str:
     """Return values with three digits in brackets."""
-    return "[" + ", ".join(f"{value:.3g}" for value in values) + "]"
+    return "[" + ", ".join(f"{value if abs(value) > 1e-6 else 0:.3g}" for value in values) + "]"

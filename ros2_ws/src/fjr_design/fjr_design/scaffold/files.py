@@ -21,7 +21,7 @@ from fjr_msgs_py.scenarios.gains_block import gain_lines
 
 UNITS = {"joint_stiffness": "N m/rad, K", "motor_inertia": "kg m^2, M_m, reflected to the link side of the gear"}
 SCENARIO = """\
-# {name}: slow sines of {n} joint(s) about a pose in their ranges. Written by `fjr new`; change it freely.
+# {name}: slow sines of {joints} about a pose within the ranges. Written by `fjr new`; change it freely.
 # docs/your_robot.md explains the file, docs/references.md other motions, docs/safety.md the limits.
 /**:
   ros__parameters:
@@ -97,7 +97,7 @@ def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> s
     effort = np.full(n, np.inf) if limits is None else limits.effort
     return SCENARIO.format(
         name=name,
-        n=n,
+        joints=plural(n, "joint"),
         robot_file=_scalar(robot_file),
         rate=RATE,
         steps=proposal.inner_steps,

@@ -43,7 +43,7 @@ TUNED = (
     "limit. Gains are in comparison.json."
 )
 DASHED = "Green: best, or within 5 % of the best. A dash: does not track the nominal robot."
-TRACES = (("error", "The largest |q_l − q_ld|", "error [rad]"), ("effort", "The largest |u|", "|u| [N m]"))
+TRACES = ("error", "The largest |q_l − q_ld|", "error [mrad]", 1e3), ("effort", "The largest |u|", "|u| [N m]", 1.0)
 Style = tuple[str, str, tuple[int, ...]]
 HEADROOM = 3.0  # times the largest error that counts as tracking; larger errors are not drawn
 DASHES: tuple[tuple[int, ...], ...] = ((), (6, 4), (2, 3), (8, 3, 2, 3))
@@ -175,11 +175,10 @@ def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:
     ]
 
 
-def _trace(place: str, laws: Sequence[tuple[Style, Any]], what: str, caption: str, label: str) -> Plot:
-    t = np.array(laws[0][1]["trace"]["t"])
-    lines = [_line(style, np.array(law["trace"][what], dtype=float)) for style, law in laws]
-    heading = f"Nominal: {what}"
-    return Plot(f"{place}-{what}", heading, caption, t, lines, y_label=label, y_log=True, place=place, legend=False)
+def _trace(place: str, laws: Sequence[tuple[Style, Any]], what: str, caption: str, label: str, scale: float) -> Plot:
+    t, axes = np.array(laws[0][1]["trace"]["t"]), {"y_label": label, "y_log": True, "place": place, "legend": False}
+    lines = [_line(style, scale * np.array(law["trace"][what], dtype=float)) for style, law in laws]
+    return Plot(f"{place}-{what}", f"Nominal: {what}", caption, t, lines, **axes)  # type: ignore[arg-type]
 
 
 def _winners(margins: Sequence[Row], names: Sequence[str]) -> str:

@@ -24,7 +24,6 @@ from fjr_core.runtime.velocity_observer import VelocityObserver
 
 from ..tuning.equal_bandwidth import baseline_target, tune, tuning
 
-Entries = tuple[float, ...]
 SCENARIO, RULE = "scenario", "rule"
 """Starts of a search: the gains of the scenario, those of the rule of equal bandwidth, which v-dPBC can have."""
 

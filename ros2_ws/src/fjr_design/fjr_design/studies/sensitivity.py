@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_design.batch.closed_loop import PER_JOINT
+from fjr_msgs_py.console.output import milli, number
 
 from ..batch.draws import Distribution
 from .sweep import OUTCOMES, Sweep
@@ -86,6 +87,11 @@ def summarised(sweep: Sweep, column: ReadColumn) -> Summary:
         worst=int(good.argmax()) if success.any() else -1,
         failed=int(np.argmin(success)) if not success.all() else -1,
     )
+
+
+def shown(value: float, unit: str) -> str:
+    """Return an outcome with its unit, an error in mrad."""
+    return milli(value, unit) if unit == "rad" else number(value, unit)
 
 
 def interval(count: ArrayLike, of: ArrayLike) -> tuple[Array, Array]:

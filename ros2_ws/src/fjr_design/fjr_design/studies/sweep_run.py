@@ -24,10 +24,10 @@ from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, draw_plot, write_picture
 from fjr_msgs_py.console.ending import stoppable
-from fjr_msgs_py.console.output import Result, finite, json_text, number, percent, plural, progress_bar, tell
+from fjr_msgs_py.console.output import Result, aligned, finite, json_text, number, percent, plural, progress_bar, tell
 
 from ..batch.draws import FIXED, LOG_UNIFORM, unit_of
-from .sensitivity import Effect, ReadColumn, Summary, summarised
+from .sensitivity import Effect, ReadColumn, Summary, shown, summarised
 from .study import Store, Workers, cluster, divided, open_store, threads
 from .sweep import OUTCOMES, Sweep, planned, run_part
 
@@ -54,7 +54,7 @@ DOTS = 4000
 GOOD, BAD, LOST = "c1", "c2", "bad"
 BINS = 40  # of the distribution
 ABOVE = 1.5  # times the largest error: where unstable runs are drawn
-ERROR = "RMS error, worst joint [rad]"
+ERROR = "RMS error, worst joint [mrad]"
 WIDTH = 42  # characters of a line over a plot
 
 
@@ -129,21 +129,14 @@ def carry_out(plan: Sweep, store: Store, workers: Workers, stop: threading.Event
 
 def table(plan: Sweep, summary: Summary) -> str:
     """Format the results as a table."""
-    share = f"{percent(summary.succeeded / summary.runs)} of {summary.runs} succeed"
     stopped = f", a limit stopped {summary.stopped}" if summary.stopped else ""
     interval = f"(95 %: {percent(summary.low)} to {percent(summary.high)})"
-    lines = [
-        f"{plan.name}: {share} {interval}, {summary.stable} are stable{stopped}",
-        f"  {'':14}{'median':>12}{'95 %':>12}{'99 %':>12}{'worst':>12}",
-    ]
-    for name in IN_TABLE:
-        values = "".join(f"{number(value):>12}" for value in summary.quantiles[name])
-        lines.append(f"  {name:14}{values} {OUTCOMES[name][1]}")
-    hint = "most influential" if summary.runs >= ENOUGH else "most influential (estimate)"
-    lines.append(f"  {hint:28}{'success':>10}{'rms error':>12}")
-    for effect in summary.effects[:5]:
-        lines.append(f"  {effect.name:28}{percent(effect.success, 0):>10}{percent(effect.error, 0):>12}")
-    return "\n".join(lines)
+    rows = [["", "median", "95 %", "99 %", "worst"]]
+    rows += [[f"  {name}", *(shown(q, OUTCOMES[name][1]) for q in summary.quantiles[name])] for name in IN_TABLE]
+    effects = [["  most influential" + " (estimate)" * (summary.runs < ENOUGH), "success", "rms error"]]
+    effects += [[f"  {one.name}", percent(one.success, 0), percent(one.error, 0)] for one in summary.effects[:5]]
+    first = f"{headline(plan, summary)} {interval}, {summary.stable} are stable{stopped}"
+    return "\n".join([first, *aligned(rows), *aligned(effects)])
 
 
 def headline(sweep: Sweep, summary: Summary) -> str:
@@ -157,7 +150,7 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
         f", {OUTCOMES[name][0]} at most {limit:g} {OUTCOMES[name][1]}" for name, limit in sweep.success.items()
     )
     outcomes = [
-        [what, *(number(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in OUTCOMES.items()
+        [what, *(shown(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in OUTCOMES.items()
     ]
     html.write_page(
         path,
@@ -174,7 +167,7 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
             (percent(summary.succeeded / summary.runs), "succeed"),
             (f"{percent(summary.low)} to {percent(summary.high)}", "95 % interval of that share"),
             (percent(summary.stable / summary.runs), "are stable"),
-            (number(summary.quantiles["rms"][1], "rad"), "RMS error that 95 % of the stable runs keep"),
+            (shown(summary.quantiles["rms"][1], "rad"), "RMS error that 95 % of the stable runs keep"),
         ],
         tables=[("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes)],
         effects=[
@@ -189,7 +182,7 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
 
 def sweep_plots(sweep: Sweep, column: ReadColumn, summary: Summary) -> list[Plot]:
     """Return the plots: of each of the PLOTTED most influential parameters, then of all runs."""
-    rms = np.max([column(f"rms.{joint}") for joint in sweep.scenario.joints], axis=0)
+    rms = 1e3 * np.max([column(f"rms.{joint}") for joint in sweep.scenario.joints], axis=0)
     success, plots = column("success"), []
     logarithmic = {each.column for each in sweep.drawn if each.distribution.kind == LOG_UNIFORM}
     for i, effect in enumerate(summary.effects[:PLOTTED]):
@@ -301,11 +294,11 @@ def write_overview(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: 
 
 
 def _indices(ax: Axes, summary: Summary) -> None:
-    shown = summary.effects[: 2 * PLOTTED][::-1]
-    rows = np.arange(len(shown))
-    ax.barh(rows + 0.2, [effect.success for effect in shown], 0.36, color=COLOURS[1], label="success")
-    ax.barh(rows - 0.2, [effect.error for effect in shown], 0.36, color=GREY, label="log RMS error")
-    ax.set_yticks(rows, [effect.name for effect in shown])
-    ax.set(title="Part of the variance", xlim=(0, 1))
+    effects = summary.effects[: 2 * PLOTTED][::-1]
+    rows = np.arange(len(effects))
+    ax.barh(rows + 0.2, [100 * effect.success for effect in effects], 0.36, color=COLOURS[1], label="success")
+    ax.barh(rows - 0.2, [100 * effect.error for effect in effects], 0.36, color=GREY, label="log RMS error")
+    ax.set_yticks(rows, [effect.name for effect in effects])
+    ax.set(title="What each explains alone", xlabel="share of the variance [%]", xlim=(0, 100))
     ax.grid(axis="y", visible=False)
     ax.legend(loc="lower right", **LEGEND)

@@ -24,12 +24,13 @@ from fjr_core.config.law import TYPE
 from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
-from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, write_picture
+from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, log_ticks, write_picture
 from fjr_msgs_py.console.ending import stoppable
-from fjr_msgs_py.console.output import Result, json_text, number, percent, plural, progress_bar
+from fjr_msgs_py.console.output import Result, aligned, json_text, milli, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
 from .coordinates import RULE, SCENARIO
+from .sensitivity import shown
 from .study import Store, Workers, divided, open_store
 from .sweep import OUTCOMES, TUNE, described, file_of
 from .sweep_run import PROGRESS, check_and_warn, workers_of
@@ -199,20 +200,21 @@ def _values(tuned: Tuned, values: Mapping[str, Any]) -> dict[str, Any]:
 def _table(tuned: Tuned) -> list[str]:
     study, (scenario, chosen) = tuned.study, tuned.scores
     law = study.sweep.scenario.controller_values[TYPE.name]
-    lines = [
-        f"{study.sweep.name}, {law}: best of {len(tuned.candidates)} candidates, on {study.fresh:,} fresh draws",
-        f"  {'':32}{'scenario':>12}{'tuned':>12}{'ratio':>9}",
-    ]
+    rows = [["", "scenario", "tuned", "ratio"]]
     for name, (words, unit) in SHOWN.items():
         for q in QUANTILES:
             pair = quantile(tuned.scenario[name], q), quantile(tuned.chosen[name], q)
-            what = f"{words}, {'median' if q == 0.5 else percent(q, 0)}"
+            what = f"  {words}, {'median' if q == 0.5 else percent(q, 0)}"
             ratio = f"{pair[1] / pair[0]:.3g}" if np.isfinite(pair).all() and pair[0] > 0 else ""
-            lines.append(f"  {what:32}{number(pair[0]):>12}{number(pair[1]):>12}{ratio:>9} {unit}")
-    lines.append(f"  {'successful runs':32}{percent(scenario.success):>12}{percent(chosen.success):>12}")
-    lines.append(f"  factors on the gains of {STARTS[study.start]}:")
+            rows.append([what, *(shown(value, unit) for value in pair), ratio])
+    rows.append(["  successful runs", percent(scenario.success), percent(chosen.success), ""])
     axes = zip(study.coordinates.axes, tuned.point, strict=True)
-    lines += [f"  {axis.name:32}{f'× {np.exp(z):.3g}':>24}" for axis, z in axes]
+    lines = [
+        f"{study.sweep.name}, {law}: best of {len(tuned.candidates)} candidates, on {study.fresh:,} fresh draws",
+        *aligned(rows),
+        f"  factors on the gains of {STARTS[study.start]}:",
+        *aligned([(f"  {axis.name}", f"× {np.exp(z):.3g}") for axis, z in axes]),
+    ]
     if not chosen.feasible:
         lines.append(f"  constraints are violated on the fresh draws, by {chosen.violation:.2g}; see docs/gains.md")
     return lines
@@ -223,6 +225,8 @@ def _draw(tuned: Tuned, figure: Figure) -> None:
     axes = figure.subplots(1, 3)
     for ax, name in zip(axes, AXES, strict=False):
         _front(ax, tuned, name)
+        log_ticks(ax.xaxis, ax.yaxis)
+    axes[0].legend(loc="best", **{**LEGEND, "markerscale": 1.0})
     _distribution(axes[2], tuned.scenario, tuned.chosen)
     title = f"{tuned.study.sweep.name}: {len(tuned.candidates)} candidates, {tuned.study.fresh:,} fresh draws"
     figure.suptitle(title, fontsize=13, x=0.01, ha="left")
@@ -244,7 +248,6 @@ def _front(ax: Axes, tuned: Tuned, name: str) -> None:
             ax.plot(x[i], 1e3 * y[i], marker, ms=9, color=COLOURS[1] if marker == "*" else GREY, label=label)
     ax.set(xscale="log", yscale="log", xlabel=AXES[name], ylabel="RMS error [mrad]")
     ax.set_title(f"Candidates, {percent(quantile, 0)} quantile over {tuned.study.draws} draws")
-    ax.legend(loc="best", **{**LEGEND, "markerscale": 1.0})
 
 
 def pareto(x: Array, y: Array, among: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -263,5 +266,8 @@ def _distribution(ax: Axes, scenario: Figures, chosen: Figures) -> None:
         stable = np.isfinite(rms) & (rms > 0)
         ax.plot(1e3 * rms[stable], share[stable], color=colour, label=label)
     ax.set(xscale="log", xlabel="RMS error [mrad]", ylabel="fresh draws with at most this error [%]", ylim=(0, 101))
-    ax.set_title("Fresh draws, cumulative")
+    log_ticks(ax.xaxis)
+    ax.set_title(
+        "Median {}, tuned {}".format(*(milli(quantile(runs["rms"], 0.5), "rad") for runs in (scenario, chosen)))
+    )
     ax.legend(loc="lower right", **LEGEND)

@@ -154,8 +154,8 @@ def _check_gaps(name: str, t: Array, counts: Array, period: float) -> None:
     share = float(np.mean(counts > 1))
     if share > MOST_MISSING:
         raise RecordError(
-            f"{name}: {share:.1%} of the steps are longer than the usual {period * 1e3:.6g} ms; "
-            f"expected at most {MOST_MISSING:.0%} (a period that changes, or lost samples)"
+            f"{name}: {100 * share:.1f} % of the steps are longer than the usual {period * 1e3:.6g} ms; "
+            f"expected at most {100 * MOST_MISSING:.0f} % (a period that changes, or lost samples)"
         )
 
 

@@ -207,7 +207,7 @@ class SecondPass:
         if late < thresholds.EXACT * self._period or loops is None:
             return diagnosis
         margin = self._period * loops.check(self._law, self._period, 0.0, self._visited).delay_margin
-        share = f", {late / margin:.0%} of the delay margin" if margin else ""
+        share = f", {100 * late / margin:.0f} % of the delay margin" if margin else ""
         sentence = f"{diagnosis.sentence}; the effort acts {1e3 * late:.3g} ms late{share}"
         return replace(diagnosis, sentence=sentence, figures={**diagnosis.figures, "delay margin": margin})
 

@@ -124,18 +124,20 @@ def _cut(values: Sequence[str]) -> list[str]:
 def _value(scenario: Scenario, name: str) -> str:
     """Return the value of a parameter, of both nodes if it differs between them; a dash if the scenario has none."""
     nodes = scenario.controller_values, scenario.plant_values
-    found = [list(value) if isinstance(value := values[name], tuple) else value for values in nodes if name in values]
-    return ", plant: ".join(dict.fromkeys(" ".join(str(value).split()) for value in found)) or DASH
+    found = [values[name] for values in nodes if name in values]
+    texts = (", ".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value) for value in found)
+    return ", plant: ".join(dict.fromkeys(" ".join(text.split()) for text in texts)) or DASH
 
 
 def side_by_side_plots(runs: Sequence[RunSummary]) -> list[Plot]:
     """Return the plots that are not empty, in the order of the page."""
-    errors = [run.data.states["largest_error"] for run in runs]
+    errors = [1e3 * run.data.states["largest_error"] for run in runs]
     efforts = [run.data.states["largest_effort"] for run in runs]
     latencies = [run.data.run.signals.latencies for run in runs]
     periods = [run.data.run.signals.periods for run in runs]
     largest = "The largest {} of all joints at each state; log axis."
-    error, effort = (f"{symbol} [{_units(runs, what)}]" for symbol, what in (("error", "position"), ("|u|", "effort")))
+    error = f"error [{joined(f'm{each.position}' for run in runs for each in run.data.run.units)}]"
+    effort = f"|u| [{_units(runs, 'effort')}]"
     drawn = [
         _over_time("error", "Tracking error", largest.format("|q_l − q_ld|"), runs, errors, error),
         _over_time("effort", "Effort", largest.format("|u|"), runs, efforts, effort),

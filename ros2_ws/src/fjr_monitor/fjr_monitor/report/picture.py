@@ -15,6 +15,7 @@ from fjr_msgs_py.console.output import SUPERSCRIPT, tell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 # Okabe and Ito's palette, distinguishable by colour-blind readers
@@ -73,17 +74,24 @@ def draw_plot(ax: Axes, plot: Plot, width: int) -> None:
     ax.set_title(fill(plot.title, 4 * width // 5), pad=6 + 1.35 * SMALL * (1 + caption.count("\n")))
     ax.set_ylim(*plot.y_range)
     if plot.x_log:
-        low, high = ax.get_xlim()  # few ticks with plain numbers
-        ticks = [digit * 10.0**power for power in range(-12, 13) for digit in (1, 2, 5)]
-        shown = [tick for tick in ticks if low <= tick <= high]
-        shown = shown if len(shown) <= FEW else [tick for tick in ticks[::3] if low <= tick <= high]
-        ax.set_xticks(shown or [low], [f"{tick:g}" for tick in shown or [low]])
+        log_ticks(ax.xaxis)
     if plot.y_log:  # in plain text: Matplotlib's own formulas take a tenth of the drawing
         ax.yaxis.set_major_formatter(lambda value, _: f"10{str(round(np.log10(value))).translate(SUPERSCRIPT)}")
     ax.yaxis.get_offset_text().set_horizontalalignment("right")  # beside the caption
     ax.minorticks_off()  # on log axes each is drawn by five artists, a third of the drawing time
     if any(artist.get_label()[:1] not in ("", "_") for artist in (*ax.lines, *ax.collections)):
         ax.legend(loc="lower right" if any(line.dots for line in plot.lines) else "upper right", **LEGEND)
+
+
+def log_ticks(*axes: Axis) -> None:
+    """Set few ticks with plain numbers on logarithmic axes."""
+    for axis in axes:
+        low, high = axis.get_view_interval()
+        ticks = [digit * 10.0**power for power in range(-12, 13) for digit in (1, 2, 5)]
+        shown = [tick for tick in ticks if low <= tick <= high]
+        shown = shown if len(shown) <= FEW else [tick for tick in ticks[::3] if low <= tick <= high]
+        axis.set_ticks(shown or [low], labels=[f"{tick:g}" for tick in shown or [low]])
+        axis.set_ticks([], minor=True)
 
 
 def _draw_line(ax: Axes, plot: Plot, line: Line) -> None:

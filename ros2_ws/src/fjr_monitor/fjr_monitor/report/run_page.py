@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 FEW = 2  # joints; with more, efforts are shown in percent of their limits first
 BINS = 60  # of a histogram
+LITTLE = 1e-4  # of the power supplied
 HALF = 0.5  # states; drawn for an empty bin on the log axis
 SMALLEST = 1e-3  # ms
 WIDTH = 68  # characters of a line over a plot of the picture
@@ -185,8 +186,9 @@ class RunPlots:
         steps, energy = self._data.steps, self._report.energy
         title = "Energy balance"
         if energy is not None and np.isfinite(energy.rms_residual_of_supplied):
-            left = number(100 * energy.rms_residual_of_supplied, "%", 2)
-            title = f"{left} of the power supplied is unexplained"
+            share = energy.rms_residual_of_supplied
+            left = number(100 * share, "%", 2) if share > LITTLE else f"less than {100 * LITTLE:g} %"
+            title = f"Unexplained: {left} of the power supplied"
         caption = (
             "In the model, the energy that the motors supply is stored or dissipated. The residual is due to friction, "
             "load, delay or wrong parameters."

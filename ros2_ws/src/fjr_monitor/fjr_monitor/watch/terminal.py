@@ -14,7 +14,7 @@ from rich.text import Text
 from fjr_monitor.watch.state import LEVELS, JointLine, NodeHealth, View
 
 ERROR_DECADES = (-6.0, 0.0)  # log10 of rad, at an empty and a full bar
-WIDE = 118  # characters
+WIDE, NARROW = 118, 80  # characters, for all columns, and for bars
 BLOCKS = " ▏▎▍▌▋▊▉█"
 SPARKS = "▁▂▃▄▅▆▇█"
 ERROR_BAR, EFFORT_BAR = 16, 17  # characters
@@ -34,7 +34,8 @@ COLUMNS = NAME, POSITION, VELOCITY, DEFLECTION, ERROR, ERRORS, EFFORT, EFFORTS, 
     "-lim..+lim",
     "of limit",
 )
-HISTORY = 60  # characters
+HISTORY, BESIDE = 60, 34  # characters of the sparkline, and of what stands beside it
+LEAST = 1e-20  # J or W; smaller amounts, such as the bound of V after some seconds, are not told apart
 LARGE = 1e-2  # rad, of an error
 CERTIFICATE = (  # published label, displayed name, unit
     ("V", "V", "J"),
@@ -48,9 +49,9 @@ CERTIFICATE = (  # published label, displayed name, unit
 
 
 def render(view: View, width: int = WIDE) -> RenderableType:
-    """Render the whole view; below WIDE characters without velocities and deflections."""
-    joints = _joints(view.joints, width >= WIDE)
-    parts: list[RenderableType] = [_header(view), joints, _certificate(view), _health(view)]
+    """Render the whole view; below WIDE characters without velocities and deflections, below NARROW without bars."""
+    joints = _joints(view.joints, width)
+    parts: list[RenderableType] = [_header(view), joints, _certificate(view, width), _health(view)]
     if view.events:
         parts.append(_events(view))
     if view.missing:
@@ -107,10 +108,11 @@ def _ms(values: tuple[float, float, float]) -> str:
     return f"{'/'.join(f'{1e3 * value:.2f}' for value in values)} ms"
 
 
-def _joints(joints: tuple[JointLine, ...], wide: bool) -> Panel:
+def _joints(joints: tuple[JointLine, ...], width: int) -> Panel:
     table = Table(box=None, expand=False, pad_edge=False)
-    bars = (ERROR_BAR, EFFORT_BAR) if wide else (NARROW_ERROR_BAR, NARROW_EFFORT_BAR)
-    shown = [column for column in COLUMNS if wide or column not in (VELOCITY, DEFLECTION)]
+    bars = (ERROR_BAR, EFFORT_BAR) if width >= WIDE else (NARROW_ERROR_BAR, NARROW_EFFORT_BAR)
+    hidden = (VELOCITY, DEFLECTION) * (width < WIDE) + (ERRORS, EFFORTS) * (width < NARROW)
+    shown = [column for column in COLUMNS if column not in hidden]
     for heading in shown:
         right = heading not in (NAME, ERRORS, EFFORTS)
         named = heading == NAME  # only names give way to a narrow terminal, in lines
@@ -146,7 +148,7 @@ def _signed(value: float | None) -> str:
     return NOTHING if value is None else f"{value:+.4f}"
 
 
-def _certificate(view: View) -> Panel:
+def _certificate(view: View, width: int) -> Panel:
     """Render the numbers of the certificate, a sparkline of V with the range of its values, and the diagnosis."""
     diagnoses = [_status(status) for status in view.health if "certificate" in status.name]
     if view.certificate is None:
@@ -154,16 +156,22 @@ def _certificate(view: View) -> Panel:
     else:
         values = view.certificate
         numbers = [
-            f"{name} {values[key]:.3g} {unit}" if math.isfinite(values[key]) else f"{name} {NOTHING}"
+            f"{name} {_amount(values[key], unit)}"
             for key, name, unit in CERTIFICATE
             if key in values and not (key == "bound" and values[key] < 0)  # negative: no bound
         ]
         finite = [value for value in view.history if math.isfinite(value)]
-        line = Text("log V  ").append(sparkline(view.history, HISTORY), style="cyan")
+        line = Text("log V  ").append(sparkline(view.history, max(1, min(HISTORY, width - BESIDE))), style="cyan")
         if finite:
             line.append(f"  {min(finite):.0e} .. {max(finite):.0e} J", style="dim")
         parts = [Columns(numbers, padding=(0, 3)), line]
     return Panel(Group(*parts, *diagnoses), title="certificate", title_align="left", border_style="dim")
+
+
+def _amount(value: float, unit: str) -> str:
+    if not math.isfinite(value):
+        return NOTHING
+    return f"below {LEAST:g} {unit}" if 0 < abs(value) < LEAST else f"{value:.3g} {unit}"
 
 
 def _health(view: View) -> Panel:

@@ -103,6 +103,7 @@
   function line(spec) {
     return {
       label: spec.label || " ",
+      class: spec.unseen ? "unseen" : null,
       stroke: () => css(spec.colour),
       fill: spec.fill ? () => css(spec.colour) + "40" : undefined,
       width: spec.width,
