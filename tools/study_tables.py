@@ -29,10 +29,12 @@ from fjr_design.studies.sweep import Sweep, figures, planned
 from fjr_design.studies.trial import Trial, directions, motion_demand
 from fjr_design.tuning.equal_bandwidth import baseline_target, tune
 from fjr_monitor.report.picture import COLOURS, write_picture
+from fjr_msgs_py.console.output import number
 from fjr_msgs_py.scenarios import library
 
 PICTURE = ROOT / "docs" / "figures" / "robust.png"
 SECONDS, SETTLED = 6.0, 2.0  # s
+LEAST = 1e-4  # mrad, of the picture
 
 
 # Robust options.
@@ -90,14 +92,16 @@ def disturbed() -> list[Disturbed]:
 
 
 def robust() -> None:
-    """Write the RMS of q_l - q_ld [rad] without and with each option, and draw the errors of three cases."""
+    """Write the RMS of q_l - q_ld [mrad] without and with each option, and draw the errors of three cases."""
     found = [(case, case.errors()) for case in tqdm(disturbed(), desc="robust")]
     rows = []
     for case, errors in found:
-        plain, *left = (float(np.sqrt(np.mean(e[round(SETTLED / PERIOD) :] ** 2))) for e in errors.values())
+        plain, *left = (1e3 * float(np.sqrt(np.mean(e[round(SETTLED / PERIOD) :] ** 2))) for e in errors.values())
         for name, rms in zip(list(errors)[1:], left, strict=True):
-            rows.append((case.text, f"{plain:.1e}", name, f"{rms:.1e}", f"{min(plain / rms, 1e6):.3g}"))
-    head = ("disturbance", "error without, rad", "option", "error with, rad", "ratio")
+            rows.append(
+                (case.text, number(plain, digits=2), name, number(rms, digits=2), f"{min(plain / rms, 1e6):.3g}")
+            )
+    head = ("disturbance", "error without, mrad", "option", "error with, mrad", "ratio")
     put("robust.md", "robust", markdown(head, rows))
     write_picture(PICTURE, (12.0, 3.8), partial(draw, [found[i] for i in DRAWN_CASES]))
 
@@ -107,12 +111,14 @@ def draw(found: Sequence[tuple[Disturbed, Mapping[str, Array]]], figure: Figure)
     for ax, (case, errors) in zip(figure.subplots(1, len(found)), found, strict=True):
         for name, e in errors.items():
             t = PERIOD * np.arange(len(e))
-            ax.semilogy(t, np.maximum(np.abs(e).max(axis=1), 1e-9), color=OPTION_COLOURS[name], label=name, lw=1.0)
+            ax.semilogy(
+                t[1:], np.maximum(1e3 * np.abs(e[1:]).max(axis=1), 1e-9), color=OPTION_COLOURS[name], label=name, lw=1.0
+            )
         ax.set_title(case.text.replace("`", ""), fontsize=9)
         ax.set_xlabel("t [s]")
-        ax.set_ylim(bottom=1e-8)
-        ax.legend(fontsize=8, loc="upper right")
-    figure.axes[0].set_ylabel("largest |q_l - q_ld| [rad]")
+        ax.set_ylim(bottom=LEAST)
+        ax.legend(fontsize=8, loc="best")
+    figure.axes[0].set_ylabel("largest |q_l - q_ld| [mrad]")
 
 
 # Noise of arm7.

@@ -19,6 +19,7 @@ from fjr_core.runtime.control_step import ControlStep
 from fjr_design.cli.check import check
 from fjr_monitor.watch.state import Watched
 from fjr_msgs_py.console.ending import Exit
+from fjr_msgs_py.console.output import milli, number
 from system.executables import fjr_here, fjr_json
 from tracking.tracked import sample
 from watch_text import text
@@ -77,12 +78,14 @@ def test_check_and_run_name_joint_and_unit_of_each_metric(file: Path, arm: Scena
     shares = {each["joint"]: each["peak_effort_nm"] / each["effort_limit_nm"] for each in (lift, elbow)}
     assert lift["peak_effort_nm"] > elbow["peak_effort_nm"]
     assert shares["elbow"] > shares["lift"]
-    assert f"{lift['peak_effort_nm']:.2f} N (lift), {100 * shares['elbow']:.0f} % of its limit (elbow)" in said
+    assert (
+        f"{number(lift['peak_effort_nm'], 'N', 4)} (lift), {100 * shares['elbow']:.0f} % of its limit (elbow)" in said
+    )
     worst = {"lift": lift, "elbow": elbow}[tracking["max_error_after_2s_joint"]]
-    error = f"{worst['peak_error_after_2s_rad']:.1e} {worst['position_unit']} ({worst['joint']})"
+    error = f"{milli(worst['peak_error_after_2s_rad'], worst['position_unit'])} ({worst['joint']})"
     assert error in said
     page = (tmp_path / "arm" / "report.html").read_text()
-    for shown in ("lift [m, N]", "elbow [rad, N m]", "[m, rad]", "[N, N m]", "% of its limit (elbow)"):
+    for shown in ("lift [mm, N]", "elbow [mrad, N m]", "[m, rad]", "[mm, mrad]", "[N, N m]", "% of its limit (elbow)"):
         assert shown in page, shown
 
 

@@ -20,7 +20,7 @@ from fjr_monitor.diagnosis.verdict import Diagnosis
 from fjr_monitor.report import comparison_page, html
 from fjr_monitor.report.html import STORED, Line, Plot, Pool, decimated, drawable
 from fjr_monitor.report.run_page import HALF, bins
-from fjr_msgs_py.console.output import milli, number, percent
+from fjr_msgs_py.console.output import aligned, milli, number, percent
 from fjr_msgs_py.node.reports import VERDICT_LEVELS
 
 VALUES = st.floats(-1e6, 1e6, width=32)
@@ -94,6 +94,21 @@ def test_histograms_count_every_value(times: list[int]) -> None:
 def test_numbers_are_formatted_readably(value: float | None, text: str) -> None:
     assert number(value) == text
     assert (number(0.5, "s"), percent(0.99861), milli(3.1e-4, "s")) == ("0.5 s", "99.86 %", "0.31 ms")
+
+
+@pytest.mark.parametrize("width", [40, 80, None])
+def test_a_table_fits_the_terminal_and_loses_no_cell(width: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [
+        ("", "effort", "error"),
+        ("first", "12 N m of a limit", "a cell of many words, " * 8),
+        ("second", "", "0.1 mrad"),
+    ]
+    if width:
+        monkeypatch.setenv("COLUMNS", str(width))
+    lines = aligned(rows)
+    assert set(" ".join(lines).split()) == {word for row in rows for cell in row for word in cell.split()}
+    assert max(map(len, lines)) <= (width or 1000)
+    assert len(lines) == 3 or width
 
 
 HOSTILE = "</script><b onload='x' title=\"y\">&amp;"
