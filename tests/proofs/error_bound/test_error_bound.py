@@ -450,3 +450,11 @@ def test_a_reference_that_ends_is_bounded_from_samples() -> None:
 def test_what_cannot_be_bounded_is_refused(arguments: tuple[Any, ...], words: str) -> None:
     with pytest.raises(fjr.FjrError, match=words):
         bound_errors(joint(), *arguments)
+
+
+def test_time_that_is_over_ends_the_division() -> None:
+    errors = {"stiffness": 0.3, "motor_inertia": 0.2}
+    whole, cut = (bound_errors(joint(), EACH_SECOND, T, T, errors, prove=False, seconds=s) for s in (np.inf, 1e-9))
+    assert whole.parts > 1
+    assert cut.parts == 1
+    assert np.all(cut.position >= whole.position)
