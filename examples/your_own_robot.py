@@ -16,4 +16,6 @@ print(f"beta = {rate.beta:.2f} 1/s ({'proven' if rate.proven else 'sampled'}), b
 
 run = fjr.simulate(fjr.Plant(robot), law, reference, x0, duration=3.0, sample_period=1e-3)
 error = np.abs(run.x[:, :2] - run.jets[:, 0])
-print(f"peak effort {np.max(np.abs(run.u), axis=0).round(2)} Nm, error after 2 s {np.max(error[run.t > 2]):.1e} rad")
+print(
+    f"peak effort {np.max(np.abs(run.u), axis=0).round(2)} N m, error after 2 s {1e3 * error[run.t > 2].max():.1e} mrad"
+)
