@@ -125,7 +125,7 @@ def _value(scenario: Scenario, name: str) -> str:
     """Return the value of a parameter, of both nodes if it differs between them; a dash if the scenario has none."""
     nodes = scenario.controller_values, scenario.plant_values
     found = [values[name] for values in nodes if name in values]
-    texts = (", ".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value) for value in found)
+    texts = (f"[{', '.join(map(str, each))}]" if isinstance(each, (tuple, list)) else str(each) for each in found)
     return ", plant: ".join(dict.fromkeys(" ".join(text.split()) for text in texts)) or DASH
 
 
