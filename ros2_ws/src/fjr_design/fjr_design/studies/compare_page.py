@@ -182,14 +182,14 @@ def _trace(place: str, laws: Sequence[tuple[Style, Any]], what: str, caption: st
 
 
 def _winners(margins: Sequence[Row], names: Sequence[str]) -> str:
-    """Return the largest margins of an imperfection with the law that reaches them."""
+    """Return the widest margins of an imperfection with the law that reaches them."""
     largest = []
     for row in margins:
         best = [i for i, best in enumerate(row.best) if best]
         if best:
             first = (min if row.less else max)(best, key=lambda i: row.values[i].number or 0.0)
             largest.append(f"{row.values[first].words} ({'several' if len(best) > 1 else names[first]})")
-    return f"Largest: {', '.join(largest)}" if largest else "No law tracks."
+    return f"Widest: {', '.join(largest)}" if largest else "No law tracks."
 
 
 def _curve(place: str, laws: Sequence[tuple[Style, Any]], axis: str, tracks: float, caption: str) -> Plot:
