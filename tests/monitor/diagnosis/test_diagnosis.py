@@ -86,6 +86,16 @@ def test_known_latency_within_a_sample_is_holding_and_more_is_a_delay(latency: f
     assert diagnose(other, LAW).causes[0] == "model mismatch"
 
 
+@pytest.mark.parametrize("measured", [False, True])
+def test_an_effort_that_acts_before_its_known_latency_is_no_fault_of_the_robot(measured: bool) -> None:
+    """A plant in real time applies a command from its last inner step on: the middleware's times are later."""
+    soft = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
+    seen = recorded(soft, REFERENCE, soft.robot.state(0.5, 0.5, 0.0, 0.0), round(DURATION / PERIOD))
+    applied = np.vstack([seen.u[:1], seen.u[:-1]]) if measured else None
+    verdict = diagnose(replace(seen, sent=seen.t, answered=seen.t + 0.09e-3, u_applied=applied), soft)
+    assert (verdict.kind, verdict.findings) == ("holding", ())
+
+
 def test_missing_states_are_a_loss() -> None:
     """Every second state is missing, so each effort is held for two periods."""
     real = fjr.simulate(fjr.Plant(LAW.robot), LAW, REFERENCE, LAW.robot.state(0.5, 0.5, 0, 0), DURATION, 2 * PERIOD)

@@ -35,7 +35,8 @@ _COLUMNS = thresholds.OLDEST + 4
 class EffortDelay(NamedTuple):
     """Input delay: `whole` samples plus a `fraction` of the interval, during which the previous effort acts.
 
-    measured: estimated from the measured torque; `whole` is then 0.
+    fraction: beyond the known latency; negative where the effort acts before it. measured: estimated from the measured
+    torque; `whole` is then 0.
     """
 
     whole: int = 0
@@ -91,12 +92,17 @@ def effort_delay(
     yy, yb, bb = (products[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     explained = np.divide(yb**2, bb, out=np.zeros_like(bb), where=bb > 0)  # by a constant factor on each effort
     scaled = float(np.maximum(yy - explained, 0.0).sum())
-    fits = [_fit(total, difference - sum(steps[:d], np.zeros(_COLUMNS)), step) for d, step in enumerate(steps)]
+    known = np.concatenate([found.latency for found in parts])
+    least = -float(known.mean()) if known.size else 0.0  # an effort may act from the robot's step before it arrives on
+    fits = [
+        _fit(total, difference - sum(steps[:d], np.zeros(_COLUMNS)), step, 0.0 if d else least)
+        for d, step in enumerate(steps)
+    ]
     whole = min(range(thresholds.OLDEST), key=lambda d: fits[d][1])
     fraction, left = fits[whole]
     accepted = left < min((1 - thresholds.DELAY_EXPLAINS) * undelayed, scaled)
     if by_torque and all(np.isfinite(found.after).all() and np.isfinite(found.before).all() for found in parts):
-        measured, residual = _fit(total, difference - after, before - after)
+        measured, residual = _fit(total, difference - after, before - after, least)
         if residual <= max(thresholds.NO_WORSE * left, thresholds.EXACT * undelayed) or not accepted:
             unmixed, sent = _square(total, difference - after), _square(total, newest)
             mixed = residual < (1 - thresholds.HALF_WAY) * unmixed and unmixed > thresholds.NEGLIGIBLE * sent
@@ -132,12 +138,12 @@ def _square(products: Array, of: Array) -> float:
     return max(0.0, float(of[used] @ products[np.ix_(used, used)] @ of[used]))
 
 
-def _fit(products: Array, y: Array, b: Array) -> tuple[float, float]:
-    """Fit the fraction, 0 to 1, of b in y, combinations of columns; return it and the residual sum of squares."""
+def _fit(products: Array, y: Array, b: Array, least: float) -> tuple[float, float]:
+    """Fit the fraction, `least` to 1, of b in y, combinations of columns; return it and the residual sum of squares."""
     used = np.flatnonzero((y != 0) | (b != 0))
     square = products[np.ix_(used, used)]
     power, shared = float(b[used] @ square @ b[used]), float(b[used] @ square @ y[used])
-    fraction = float(np.clip(shared / power, 0.0, 1.0)) if power > 0 else 0.0
+    fraction = float(np.clip(shared / power, least, 1.0)) if power > 0 else 0.0
     return fraction, _square(products, y - fraction * b)
 
 
