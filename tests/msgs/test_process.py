@@ -14,7 +14,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from fjr_msgs_py.node import process
-from fjr_msgs_py.node.loading import ament_index_of_wheels
+from fjr_msgs_py.node.loading import ament_index_of_wheels, middleware_of_wheels
 from fjr_msgs_py.node.reports import Health
 from msgs.child import run, run_node
 from nodes.harness import Ros
@@ -149,7 +149,9 @@ print(code)
     ],
 )
 def test_the_end_of_a_process_in_its_own_session_is_that_of_the_command(ends: str, code: int) -> None:
-    assert run(OWN_SESSION, ends).stdout == f"True\n{code}\n"
+    done = run(OWN_SESSION, ends)
+    assert done.stdout == f"True\n{code}\n"
+    assert done.stderr == ("fjr: the recorder was ended by SIGKILL\n" if code == 128 + 9 else "")
 
 
 # Before ROS 2 is loaded.
@@ -189,6 +191,23 @@ def test_packages_installed_as_wheels_come_last_in_the_ament_index(
     for _ in range(2):
         ament_index_of_wheels()
     assert os.environ["AMENT_PREFIX_PATH"] == after.format(here=tmp_path)
+
+
+def test_a_middleware_that_the_wheels_lack_is_replaced_in_a_sentence_and_one_elsewhere_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    middleware_of_wheels("fjr")
+    assert os.environ["RMW_IMPLEMENTATION"] == "rmw_cyclonedds_cpp", "a sourced ROS 2 is elsewhere"
+    packages = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    packages.mkdir(parents=True)
+    (packages / "rmw_fastrtps_cpp").touch()
+    for _ in range(2):
+        middleware_of_wheels("fjr")
+        assert os.environ["RMW_IMPLEMENTATION"] == "rmw_fastrtps_cpp"
+    said = capsys.readouterr().err
+    assert said == "fjr: RMW_IMPLEMENTATION is rmw_cyclonedds_cpp, which is not installed; rmw_fastrtps_cpp is used\n"
 
 
 # Counters in the log.

@@ -8,7 +8,7 @@ import json
 import re
 import shutil
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -358,14 +358,28 @@ def test_messages_that_were_received_late_have_their_place_by_the_time_they_were
     assert not np.isnan(found[1][1]).any()
 
 
-def received(run: Path, folder: Path, late: float = 0.0) -> Path:
-    """Copy the bag of a run with messages received when they were sent, every seventh of a topic `late` [s]."""
+@pytest.mark.parametrize(("count", "noted"), [(5, False), (100, True)])
+def test_states_that_the_recorder_lost_are_noted(
+    count: int, noted: bool, run: Path, tmp_path: Path, model: Scenario
+) -> None:
+    """As one that had no core or was suspended: what it lost may hold a fault, and the verdict does not say so."""
+    bag, sent = received(run, tmp_path / "bag", lost=range(300, 300 + count)), read_bag(run).topics[STATES].count
+    note = f"the recorder lost {count} of {sent} states: they are not judged"
+    assert Recording(read_bag(bag), model, 1.0).notes == (note,) * noted
+
+
+def received(run: Path, folder: Path, late: float = 0.0, lost: Collection[int] = ()) -> Path:
+    """Copy the bag of a run with messages received when they were sent, every seventh of a topic `late` [s].
+
+    lost: messages of each topic that are left out.
+    """
     bag, writer = read_bag(run), BagWriter(folder)
     channels = {topic: writer.add_topic(topic, bag.topics[topic].type_name, [], "") for topic in OURS}
     messages = [
         (message.publish_time + round(1e9 * late) * (k % 7 == 0), topic, message)
         for topic in OURS
         for k, message in enumerate(bag.topic(topic).messages)
+        if k not in lost
     ]
     for k, (at, topic, message) in enumerate(sorted(messages, key=lambda each: each[0])):
         writer.write(channels[topic], at, message.publish_time, message.sequence, message.data)

@@ -20,6 +20,7 @@ import pytest
 
 from build_wheels import PACKAGES
 from envsetup.workspace import quote_paths
+from fjr_bringup import runner
 from fjr_core.errors import FjrError
 from fjr_core.files.text_file import write_text
 from fjr_monitor.recording import columns
@@ -194,6 +195,16 @@ def test_scripts_and_nodes_start_from_a_path_with_spaces(tmp_path: Path) -> None
 def _said(*command: str) -> str:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("_ROS_WHEELS")}
     return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
+
+
+def test_nodes_that_may_not_discover_each_other_end_a_run_with_the_variable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    monkeypatch.setattr(runner, "STARTUP_LIMIT", 2.0)
+    said = fjr_here("run", "paper_k31", "--lockstep", "--output", str(tmp_path), code=Exit.FAILED)
+    (sentence,) = (line for line in said.splitlines() if line.startswith("fjr: waited 2 s for fjr_plant to appear; "))
+    assert sentence.endswith("; ROS_AUTOMATIC_DISCOVERY_RANGE is OFF")
 
 
 # What may be missing.

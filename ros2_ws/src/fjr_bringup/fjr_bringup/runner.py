@@ -52,6 +52,7 @@ PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n:.1f}/{total:.1f} s"
 GRAPH_PERIOD = 0.5  # s between checks of the graph during the run
 NOT_JUDGED = "expected room for the whole bag: what was not recorded is not judged"
 ALONE = "expected a domain for this run alone: stop the other, or set the environment variable ROS_DOMAIN_ID (0 to 101)"
+DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"
 UNKNOWN = "an unknown node"
 PASSING = 6.0  # s; a second plant or controller is in the graph for less: it refuses to start, or its lease of 5 s ends
 RECORDER_PRIORITY = 1  # below the nodes, above other programs: without a core for 0.1 s the recorder loses messages
@@ -179,10 +180,9 @@ class _Run:
         def seen() -> str:
             published, silent = (", ".join(each) for each in (self._published_by(node), unconnected()))
             others = ", ".join(sorted(self.recorder.node.get_node_names())) or "none"
-            return (
-                f"; it publishes {published or 'nothing'}; not connected to {silent or 'none of these'}; "
-                f"nodes in ROS domain {domain()}: {others}"
-            )
+            here = "".join(f"; {name} is {os.environ[name]}" for name in DISCOVERY if name in os.environ)
+            lacks = f"; it publishes {published}; not connected to {silent or 'none of these'}" if published else ""
+            return f"{lacks}; nodes in ROS domain {domain()}: {others}{here}"
 
         def appeared() -> bool:
             alone = not self._refuse_others(PASSING)  # ended ones stay in the graph for their lease

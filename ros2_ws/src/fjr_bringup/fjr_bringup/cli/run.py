@@ -138,6 +138,8 @@ def _record_and_report(plan: RunPlan, pages: bool = True) -> RunSummary:
 
 def _result(summaries: Sequence[RunSummary], page: Path | None = None, claim: Claim | None = None) -> Result:
     """Return table and files of finished runs; page: the page that compares them; claim: what they show together."""
+    for note in (f"{each.label}: {note}" for each in summaries for note in each.report.missing):
+        tell(note)
     lines = [table(summaries), output_paths(summaries), play_hint(Path(summaries[0].report.bag))]
     lines += [f"side by side: {page}"] if page else []
     lines += [f"{claim.heading}: {claim.sentence}"] if claim else []

@@ -32,6 +32,7 @@ SCANNED_MESSAGES = 1000  # for joint names
 TOGETHER = 8192  # states that are decoded at a time
 AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
 JUMP = 0.5  # s; a larger step back in stamps starts a new section (reset, looped bag)
+LOST = 0.01  # of the states; more that the recorder lost are noted
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 END = 2**63 - 1
 Places = NDArray[np.int32]
@@ -220,6 +221,8 @@ class RunSignals:
     def _notes(self, bag: Bag, jumps: int, tail: float) -> tuple[str, ...]:
         """Return the notes; tail [s]: from the last state of the run to that of the section."""
         reader, end = self.reader, (self.stamp[-1] - self.stamp[0]) * 1e-9
+        lost = bag.held(STATES).lost or 0
+        sent = bag.held(STATES).count + lost
         unknown = "no effort of the controller, no latency"
         commands = ""
         if self._commands is None:
@@ -232,6 +235,7 @@ class RunSignals:
             )
         said = (
             "" if bag.complete else "the bag was not closed: shown is what was written until then",
+            f"the recorder lost {lost} of {sent} states: they are not judged" if lost > LOST * sent else "",
             reader.other_names,
             f"{reader.left_out} states are incomplete or not finite and left out" if reader.left_out else "",
             reader.no_motors,

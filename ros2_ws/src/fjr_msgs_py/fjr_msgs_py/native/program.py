@@ -81,21 +81,14 @@ def ros_options() -> tuple[str, ...]:
 
     Raise NativeError if its headers are not installed.
     """
-    prefix = _prefix()
+    import rclpy.impl.implementation_singleton  # noqa: F401  # loads librcl
+
+    mapped = Path("/proc/self/maps").read_text(encoding="utf-8").splitlines()
+    prefix = next(Path(line[line.index("/") :]).parents[1] for line in mapped if "/librcl.so" in line)
     folders = sorted(folder for folder in (prefix / "include").glob("*") if (folder / folder.name).is_dir())
     if not (prefix / "include" / "rcl" / "rcl" / "rcl.h").is_file():
         raise NativeError(f"{prefix}/include/rcl is missing; expected the headers of ROS 2")
     return (*(f"-I{folder}" for folder in folders), f"-L{prefix / 'lib'}", "-lrcl", "-lrmw", "-lrcutils", "-lpthread")
-
-
-def _prefix() -> Path:
-    """Return the folder that holds lib/librcl.so of this process."""
-    import rclpy.impl.implementation_singleton  # noqa: F401  # loads librcl
-
-    for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
-        if "/librcl.so" in line:
-            return Path(line[line.index("/") :]).parent.parent
-    raise NativeError("librcl.so is not loaded; expected rclpy to load it")
 
 
 def _text(name: str, package: str = "fjr_msgs_py") -> str:

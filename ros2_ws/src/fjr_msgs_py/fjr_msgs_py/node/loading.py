@@ -62,33 +62,38 @@ def ament_index_of_wheels() -> None:
         os.environ["AMENT_PREFIX_PATH"] = os.pathsep.join([*known, sys.prefix])
 
 
+def middleware_of_wheels(program: str) -> None:
+    """Take the middleware of ROS 2 from wheels, with a sentence, if RMW_IMPLEMENTATION names one that is not installed.
+
+    rcl would end the process as it is loaded. Elsewhere, as beside a sourced ROS 2, the variable is left as it is.
+    """
+    wanted, own = os.environ.get("RMW_IMPLEMENTATION", ""), "rmw_fastrtps_cpp"
+    packages = os.path.join(sys.prefix, "share", "ament_index", "resource_index", "packages")
+    if wanted and os.path.isfile(os.path.join(packages, own)) and not os.path.isfile(os.path.join(packages, wanted)):
+        os.environ["RMW_IMPLEMENTATION"] = own
+        print(f"{program}: RMW_IMPLEMENTATION is {wanted}, which is not installed; {own} is used", file=sys.stderr)
+
+
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-def end_on_signals(code: int) -> None:
-    """Exit at once with `code` on SIGINT or SIGTERM, while nothing needs a shutdown yet.
+def prepare(program: str, interrupted: int = 0) -> None:
+    """Set up the process of an executable: signals, limits, name, garbage, threads, packages, middleware.
 
-    Unblocks the signals that the installed executables block while Python starts (scripts/ in each package).
-    The handlers stay until process.run() replaces them.
+    interrupted: exit code on SIGINT or SIGTERM, at once, until process.run() replaces the handlers; the installed
+    executables block both while Python starts (scripts/ in each package). Garbage is not collected until
+    `resume_garbage_collection`: modules are no garbage, and looking for it takes a quarter of the start.
     """
     for number in SIGNALS:
-        signal.signal(number, lambda *_: os._exit(code))
+        signal.signal(number, lambda *_: os._exit(interrupted))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-
-
-def prepare(program: str, interrupted: int = 0) -> None:
-    """Set up the process of an executable: signals, limits, name, garbage, threads, packages.
-
-    interrupted: exit code after a signal. Garbage is not collected until `resume_garbage_collection`: modules are no
-    garbage, and looking for it takes a quarter of the start.
-    """
-    end_on_signals(interrupted)
     require_resources(program)
     with suppress(OSError), open("/proc/self/comm", "w", encoding="ascii") as comm:
         comm.write(program)  # which ps, top and killall show in place of the interpreter (Linux)
     gc.disable()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more threads of NumPy's linear algebra only add delay
     ament_index_of_wheels()
+    middleware_of_wheels(program)
 
 
 @contextmanager
