@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ament_index_python.packages import get_package_prefix
 
 from build_wheels import PACKAGES
 from envsetup.workspace import quote_paths
@@ -190,6 +191,15 @@ def test_scripts_and_nodes_start_from_a_path_with_spaces(tmp_path: Path) -> None
     assert _said("sh", str(install / "setup.sh")) == f"{install}\n"
     assert _said("sh", str(install / "local_setup.sh")) == "5\n"
     assert [_said(str(node), "a b") for node in nodes] == ["['a b']\n"] * 2
+
+
+def test_fjr_by_its_path_without_a_sourced_workspace_says_so() -> None:
+    """As cron and sudo start it, without the variables of the shell."""
+    program = str(Path(get_package_prefix("fjr_bringup"), "bin", "fjr"))
+    done = subprocess.run([program, "scenarios"], env={"PATH": os.defpath}, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("fjr: no workspace is sourced in this shell; expected . ros2_ws/install/setup.sh")
+    assert done.stderr.count("\n") == 1
 
 
 def _said(*command: str) -> str:
