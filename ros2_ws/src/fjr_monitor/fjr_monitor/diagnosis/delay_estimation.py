@@ -92,8 +92,7 @@ def effort_delay(
     yy, yb, bb = (products[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     explained = np.divide(yb**2, bb, out=np.zeros_like(bb), where=bb > 0)  # by a constant factor on each effort
     scaled = float(np.maximum(yy - explained, 0.0).sum())
-    known = np.concatenate([found.latency for found in parts])
-    least = -float(known.mean()) if known.size else 0.0  # an effort may act from the robot's step before it arrives on
+    least = -max(float(found.latency.sum()) / max(1, len(found)) for found in parts)  # no effort acts before its state
     fits = [
         _fit(total, difference - sum(steps[:d], np.zeros(_COLUMNS)), step, 0.0 if d else least)
         for d, step in enumerate(steps)
