@@ -231,6 +231,8 @@ class _Run:
         """
         for topic, owner in ((STATES, PLANT), (EFFORT_COMMANDS, CONTROLLER), (JOINT_COMMANDS, CONTROLLER)):
             publishers = [name for name in self._publishers(topic) if self.going or name != UNKNOWN]
+            if owner in self.nodes and owner not in publishers and UNKNOWN in publishers:
+                publishers.remove(UNKNOWN)  # a node of this run that was suspended for longer than its lease
             if publishers.count(owner) > (owner in self.nodes) or set(publishers) - {owner}:
                 return f"{topic} has other publishers in ROS domain {domain()} ({', '.join(sorted(publishers))})"
         twice = [name for name, enclave in self._present() if name in (PLANT, CONTROLLER) and enclave != self.enclave]
