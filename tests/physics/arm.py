@@ -24,6 +24,8 @@ from .laws import Friction, Spring, coulomb, linear
 
 Array, Indices = NDArray[np.float64], NDArray[np.intp]
 G = 9.81  # m/s^2
+Others = Callable[..., tuple[Array | float, Array | float]]
+"""Torques [N m] on links and motors by (arm, q_l, q_m, v_l, v_m, torques of the motors, time [s])."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,7 @@ class Arm:
 
     offset: of q_m - q_l without spring torque. friction, spring: their laws (`laws`). tip_mass (d,): at the end of the
     last link. tilt (d,) [rad]: of the base. cable (d, n) [N m]: amplitude of a torque -cable sin(q_l) on each link.
+    lag [s]: first order, from efforts to torques. others: further torques on links and motors.
     """
 
     mass: Array
@@ -50,11 +53,13 @@ class Arm:
     tip_mass: Array = field(default_factory=lambda: np.zeros(1))
     tilt: Array = field(default_factory=lambda: np.zeros(1))
     cable: Array = field(default_factory=lambda: np.zeros((1, 1)))
+    lag: float = 0.0
+    others: Others | None = None
 
     @property
     def rows(self) -> int:
-        """Return the rows of the state: q_l, q_m, v_l, v_m, and if a law has a state w_l, w_m, w_spring."""
-        return 7 if self.friction.has_state or self.spring.has_state else 4
+        """Return the rows of the state: q_l, q_m, v_l, v_m, if needed w_l, w_m, w_spring of laws, torque, time."""
+        return 9 if self.lag or self.others else 7 if self.friction.has_state or self.spring.has_state else 4
 
     @cached_property
     def arms(self) -> tuple[Array, Array, Array, Array]:
@@ -84,15 +89,20 @@ class Arm:
     def rates(self, x: Array, u: Array) -> Array:
         """Return dx/dt (..., d, rows, n) of states x of the same shape under efforts u (d, n)."""
         q_l, q_m, v_l, v_m = (x[..., i, :] for i in range(4))
-        w_l, w_m, w_s = (x[..., i, :] for i in (4, 5, 6)) if self.rows == 7 else (np.zeros_like(q_l),) * 3
+        w_l, w_m, w_s = (x[..., i, :] for i in (4, 5, 6)) if self.rows > 4 else (np.zeros_like(q_l),) * 3
+        u, du = (x[..., 7, :], (u - x[..., 7, :]) / self.lag) if self.lag else (u, 0 * q_l)
         tau, tau_m, dw_s = self.spring.law(self.stiffness, q_l, q_m - self.offset, v_l, v_m, w_s)
         F_l, dw_l = self.friction.law(v_l, self.link_friction, w_l, tau)
         F_m, dw_m = self.friction.law(v_m, self.motor_friction, w_m, tau)
         on_links = tau - self.link_damping * v_l - F_l - self.cable * np.sin(q_l) - self.link_torque(q_l, v_l)
+        on_motors = u - tau_m - self.motor_damping * v_m - F_m
+        if self.others:
+            more = self.others(self, q_l, q_m, v_l, v_m, u, x[..., 8, :])
+            on_links, on_motors = on_links + more[0], on_motors + more[1]
         a_l = np.linalg.solve(self.link_inertia(q_l), on_links[..., None])[..., 0]
-        a_m = (u - tau_m - self.motor_damping * v_m - F_m) / self.motor_inertia
+        a_m = on_motors / self.motor_inertia
         rates = np.empty_like(x)
-        for i, row in enumerate((v_l, v_m, a_l, a_m, dw_l, dw_m, dw_s)[: self.rows]):
+        for i, row in enumerate((v_l, v_m, a_l, a_m, dw_l, dw_m, dw_s, du, 1 + 0 * q_l)[: self.rows]):
             rates[..., i, :] = row
         return rates
 
@@ -125,8 +135,8 @@ STAGES = (
     ),
 )
 """Coefficients a and c of each stage of RODAS; the last stage is the estimate of the error."""
-TOLERANCE = np.array([1e-9, 1e-9, 1e-7, 1e-7, 1e-7, 1e-7, 1e-5])  # of a step, by row of the state
-DIFFERENCE = np.array([1e-7, 1e-7, 1e-9, 1e-9, 1e-9, 1e-9, 1e-6])
+TOLERANCE = np.array([1e-9, 1e-9, 1e-7, 1e-7, 1e-7, 1e-7, 1e-5, 1e-6, 1e-6])  # of a step, by row of the state
+DIFFERENCE = np.array([1e-7, 1e-7, 1e-9, 1e-9, 1e-9, 1e-9, 1e-6, 1e-6, 1e-6])
 SMALLEST = 1e-7  # s
 
 

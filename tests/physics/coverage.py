@@ -39,7 +39,7 @@ CASES = {
     "hysteresis, 0.3 K up to 1 mrad": Case(spring=laws.hysteresis(0.3, 1e-3), cause="hysteresis"),
     "kinematic error, 0.1 mrad": Case(spring=laws.kinematic_error(1e-4), cause="kinematic error"),
     "gain of the motor encoder 1.003": Case(sensors=Sensors(motor=Encoder(gain=1.003))),
-    "eccentricity of 1 mrad": Case(sensors=Sensors(link=Encoder(eccentricity=1e-3))),
+    "eccentricity of 1 mrad": Case(sensors=Sensors(link=Encoder(eccentricity=1e-3)), cause="eccentric"),
     "slip of 1 mrad": Case(sensors=Sensors(link=Encoder(slip=1e-3))),
     "delay that varies by 0.5 ms": Case(jitter=5e-4),
     "0.5 % of the samples lost": Case(sensors=Sensors(lost=5e-3)),
@@ -49,6 +49,24 @@ CASES = {
     "links 30 % too heavy in the robot file": Case(stated_mass=1.3, cause="the links of the robot file"),
     "base tilted by 3 degrees": Case(varied=lambda arm: replace(arm, tilt=arm.tilt + np.deg2rad(3.0))),
     "torque of a cable, 0.2 N m": Case(varied=lambda arm: replace(arm, cable=arm.cable + 0.2)),
+    "gain of the motor encoder 1.005": Case(sensors=Sensors(motor=Encoder(gain=1.005))),
+    "lag of the actuator, 2 ms": Case(lag=2 * MS),
+    "torque ripple, 2 % of the weight": Case(others=laws.ripple),
+    "viscous friction that falls by 20 %": Case(others=laws.warming),
+    "friction 15 % larger forwards": Case(laws.one_sided(0.01, 0.15)),
+    "current loop 2 % weaker at 3 rad/s": Case(others=laws.weak_at_speed),
+    "eccentricity of 1 mrad, 0.5 mrad twice in a turn": Case(
+        sensors=Sensors(link=Encoder(eccentricity=1e-3, second=5e-4)), cause="eccentric"
+    ),
+    "cable that stiffens": Case(others=laws.stiffening_cable),
+    "table that swings at 15 Hz": Case(table=True),
+    "play of 0.5 mrad, + 30 % at 5 mrad": Case(
+        spring=laws.play_and_hardening(5e-4, 0.3, 5e-3), aside=0.2, cause="the spring is not linear"
+    ),
+    "motors that drag each other": Case(others=laws.of_neighbours),
+    "skew that grows by 0.4 ms": Case(sensors=Sensors(drift=0.4 * MS)),
+    "1 % of the samples lost, 2 in a row": Case(sensors=Sensors(lost=0.01, burst=2)),
+    "efforts in 8 bits": Case(sensors=Sensors(bits=8)),
 }
 KINDS = {
     "joint_stiffness": "K",
@@ -66,9 +84,11 @@ KINDS = {
     "offset": "offset",
     "effort_delay": "delay",
     "link_skew": "skew",
+    "actuator_lag": "lag",
+    "gear_ratio_error": "ratio",
 }
 COLUMNS = tuple(dict.fromkeys(KINDS.values()))
-CAUSES = ("backlash", "the spring is", "hysteresis", "kinematic error", "the links of the robot", "does not follow")
+CAUSES = ("backlash", "the spring is", "hysteresis", "kinematic error", "the links of the robot", "on the position")
 """Words of the reasons that name what the model lacks."""
 ROBOT = """/**:
   ros__parameters:
@@ -142,6 +162,7 @@ def _interval(estimate: Estimate, true: float, softest: float, stiffest: float) 
     values = np.array([estimate.low, estimate.value, estimate.high, true])
     if estimate.name in ("joint_stiffness", "motor_inertia", "friction_smoothing_velocity", "stribeck_velocity"):
         values = np.log(values)
+    values = values**2 if estimate.name == "actuator_lag" else values
     low, value, high, truth = values
     side = (value - low if truth < value else high - value) / 1.96
     if side <= 0:  # cut at 0

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .arm import Arm, G, Motion, simulated
+from .arm import Arm, G, Motion, Others, simulated
 from .laws import Friction, Spring, coulomb, linear
 from .sensors import Samples, Sensors, sampled
 
@@ -24,6 +24,7 @@ CHORDS = 20  # deflections between which secants are taken, a fifth of their ran
 class Case:
     """Physics of a row of the table. varied: the arm with further bodies; jitter [s]: the delay varies as much.
 
+    lag [s]: of the torques. others: further torques of the arm. table: on a table that swings at 15 Hz.
     cause: words that name what the model lacks, "": nothing that would change K.
     """
 
@@ -38,6 +39,9 @@ class Case:
     dt: float = 2e-3  # s
     stated_mass: float = 1.0  # factor of the robot file on masses and inertias of the links
     cause: str = ""
+    lag: float = 0.0
+    others: Others | None = None
+    table: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,9 @@ class Draws:
             "link_coulomb_friction": arm.link_friction,
             "motor_coulomb_friction": arm.motor_friction,
             "offset": arm.offset,
-            "effort_delay": np.repeat(self.delay[:, None], n, axis=1),
+            "effort_delay": np.repeat(self.delay[:, None] + self.case.lag + self.case.jitter / 2, n, axis=1),
+            "actuator_lag": np.full_like(self.skew, self.case.lag),
+            "gear_ratio_error": np.full_like(self.skew, self.case.sensors.motor.gain / self.case.sensors.link.gain - 1),
             "link_skew": self.skew,
         }
         friction, none = arm.friction, np.zeros(self.skew.shape)
@@ -156,7 +162,22 @@ def _arm(random: np.random.Generator, shape: tuple[int, int], case: Case) -> Arm
         tip_mass=np.zeros(count),
         tilt=np.zeros(count),
         cable=none,
+        lag=case.lag,
+        others=case.others,
     )
+
+
+def on_table(arm: Arm) -> Arm:
+    """Return the arm on a table as its first joint, which turns about an axis 0.6 m above at 15 Hz against a spring."""
+    d, n = arm.mass.shape
+    table = {"mass": 30.0, "com": 0.3, "length": 0.6, "inertia": 0.9, "motor_inertia": 1e9, "link_damping": 0.0}
+    names = [name for name, each in vars(arm).items() if isinstance(each, np.ndarray) and each.shape == (d, n)]
+    whole = {name: np.insert(getattr(arm, name), 0, table.get(name, 0.0), axis=1) for name in names}
+    arm = replace(arm, **whole)
+    inertia = arm.link_inertia(np.zeros((d, n + 1)))[:, 0, 0]
+    arm.stiffness[:, 0] = (2 * np.pi * 15.0) ** 2 * inertia
+    arm.link_damping[:, 0] = 0.02 * 2 * np.sqrt(arm.stiffness[:, 0] * inertia)
+    return arm
 
 
 def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case) -> Motion:
@@ -184,4 +205,10 @@ def _motion(random: np.random.Generator, arm: Arm, delay: Array, case: Case) -> 
     x = np.zeros((count, arm.rows, n))
     x[:, 0], x[:, 1], x[:, 2], x[:, 3] = q[0], q[0], v[0], v[0]
     x[:, 1] += weight[0] / arm.stiffness + arm.offset
-    return simulated(arm, x, t, control)
+    if arm.rows > 7:
+        x[:, 7] = weight[0]
+    if not case.table:
+        return simulated(arm, x, t, control)
+    held = lambda k, i, x: np.insert(control(k, i, x[:, :, 1:]), 0, 0.0, axis=1)  # noqa: E731
+    motion = simulated(on_table(arm), np.insert(x, 0, 0.0, axis=2), t, held)
+    return Motion(motion.t, motion.x[..., 1:], motion.u[..., 1:])

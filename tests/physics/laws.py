@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+G = 9.81  # m/s^2
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ def loaded(turning: float, share: float) -> Friction:
     """Return friction that grows with the torque of the spring by a share of it, as that of gears."""
     law = lambda v, F, w, load: ((F + share * np.abs(load)) * np.tanh(v / turning), 0 * w)  # noqa: E731
     return Friction(law, turning=turning, share=share)
+
+
+def one_sided(turning: float, share: float) -> Friction:
+    """Return friction that is larger by a share forwards and smaller backwards."""
+    return Friction(lambda v, F, w, _: (F * (np.tanh(v / turning) + share * np.tanh(v / turning) ** 2), 0 * w))
 
 
 def dahl(displacement: float) -> Friction:
@@ -108,6 +114,12 @@ def backlash(width: float) -> Spring:
     return of_deflection(lambda K, zeta: K * (zeta - np.clip(zeta, -width / 2, width / 2)))
 
 
+def play_and_hardening(width: float, growth: float, at: float) -> Spring:
+    """Return a cubic spring behind a dead zone of this width [rad]."""
+    loose = lambda zeta: zeta - np.clip(zeta, -width / 2, width / 2)  # noqa: E731
+    return of_deflection(lambda K, zeta: K * loose(zeta) * (1 + growth * (loose(zeta) / at) ** 2))
+
+
 def hysteresis(share: float, slip: float) -> Spring:
     """Return a spring with a Maxwell element beside it: stiffness share K up to a deflection slip [rad]."""
 
@@ -117,6 +129,32 @@ def hysteresis(share: float, slip: float) -> Spring:
         return tau, tau, share * K * rate * (1 - near * (rate * w > 0))
 
     return Spring(law, has_state=True, stiffest=1 + share)
+
+
+def ripple(arm: Any, q_l: Array, q_m: Array, *_: Array) -> tuple[float, Array]:
+    """Return a torque of 2 % of the weight six times in a turn of a motor behind a ratio of 50."""
+    return 0.0, 0.02 * G * arm.arms[1] * np.sin(6 * 50 * q_m)
+
+
+def warming(arm: Any, q_l: Array, q_m: Array, v_l: Array, v_m: Array, u: Array, t: Array) -> tuple[Array, Array]:
+    """Return what viscous friction that falls by 20 % in 6 s, from 10 % above its mean, adds."""
+    more = 0.1 - 0.2 * t / 6.0
+    return -more * arm.link_damping * v_l, -more * arm.motor_damping * v_m
+
+
+def weak_at_speed(arm: Any, q_l: Array, q_m: Array, v_l: Array, v_m: Array, u: Array, t: Array) -> tuple[float, Array]:
+    """Return what a current loop lacks whose gain is 2 % lower at 3 rad/s."""
+    return 0.0, -0.02 * u * (v_m / 3.0) ** 2
+
+
+def stiffening_cable(arm: Any, q_l: Array, *_: Array) -> tuple[Array, float]:
+    """Return the torque of a cable of 0.1 N m/rad at rest and twice as much at 1 rad."""
+    return -0.1 * (q_l + q_l**3 / 3), 0.0
+
+
+def of_neighbours(arm: Any, q_l: Array, q_m: Array, v_l: Array, v_m: Array, *_: Array) -> tuple[float, Array]:
+    """Return friction of motors that drag each other: 20 % of the damping, by the speed of the one before."""
+    return 0.0, -0.2 * arm.motor_damping * np.roll(v_m, 1, axis=-1) * (v_m.shape[-1] > 1)
 
 
 def kinematic_error(amplitude: float, periods: float = 200.0) -> Spring:

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Encoder:
-    """gain q + eccentricity sin q + offset + noise, rounded to steps [rad]; slip [rad]: a step half-way."""
+    """gain q + eccentricity sin q + second cos 2 q + offset + noise, in steps [rad]; slip [rad]: a step half-way."""
 
     step: float = 1e-5
     noise: float = 0.0
@@ -23,10 +23,11 @@ class Encoder:
     eccentricity: float = 0.0
     offset: float = 0.0
     slip: float = 0.0
+    second: float = 0.0
 
     def read(self, q: Array, random: np.random.Generator) -> Array:
         """Return the readings (k, d, n) of positions."""
-        seen = self.gain * q + self.eccentricity * np.sin(q) + self.offset
+        seen = self.gain * q + self.eccentricity * np.sin(q) + self.second * np.cos(2 * q) + self.offset
         seen[len(q) // 2 :] += self.slip
         seen += self.noise * random.standard_normal(q.shape)
         return np.round(seen / self.step) * self.step if self.step else seen
@@ -34,11 +35,17 @@ class Encoder:
 
 @dataclass(frozen=True)
 class Sensors:
-    """Encoders of links and motors. lost: share of samples that do not arrive."""
+    """Encoders of links and motors. lost: share of samples that do not arrive, `burst` in a row.
+
+    drift [s]: by which the skew grows over the record. bits: of the efforts that are recorded, 0: exact.
+    """
 
     link: Encoder = field(default_factory=Encoder)
     motor: Encoder = field(default_factory=Encoder)
     lost: float = 0.0
+    burst: int = 1
+    drift: float = 0.0
+    bits: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +76,16 @@ def sampled(
     k, d = np.arange(EDGE, len(motion.u) - EDGE), motion.t.shape[1]
     at = np.tile((k * dt)[:, None], (1, d))
     q_m = sensors.motor.read(motion.position(1, at), random)
-    late = [motion.position(0, at + skew[:, j])[:, :, j] for j in range(skew.shape[1])]
+    grown = sensors.drift * (k / k[-1] - 0.5)[:, None]
+    late = [motion.position(0, at + skew[:, j] + grown)[:, :, j] for j in range(skew.shape[1])]
     q_l = sensors.link.read(np.stack(late, axis=-1), random)
     records = []
     for i in range(d):
-        kept = random.random(len(k)) >= sensors.lost
+        first = random.random(len(k)) < sensors.lost / sensors.burst
+        kept = ~np.convolve(first, np.ones(sensors.burst, dtype=bool))[: len(k)]
         kept[[0, -1]] = True
-        records.append(Samples(k[kept] * dt, q_l[kept, i], q_m[kept, i], motion.u[k[kept], i]))
+        u = motion.u[k, i]
+        step = 2 * np.abs(u).max() / 2**sensors.bits if sensors.bits else 0.0
+        u = np.round(u / step) * step if step else u
+        records.append(Samples(k[kept] * dt, q_l[kept, i], q_m[kept, i], u[kept]))
     return records

@@ -22,7 +22,9 @@ from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.multiple_shooting import Problem, Segment
 from fjr_identification.estimation.parameters import (
     KINDS,
+    LAG,
     PSEUDO_INERTIA,
+    RATIO,
     SMOOTHING,
     STRIBECK,
     USUAL,
@@ -44,7 +46,9 @@ FREE = (
     SMOOTHING,
     "offset",
     "effort_delay",
+    LAG,
     "link_skew",
+    RATIO,
 )
 
 
@@ -115,7 +119,8 @@ def test_sensitivities_equal_central_differences(name: str) -> None:
     silent = np.zeros_like(u)
     record = MotionRecord("a record", ("joint1",), dt, u, silent, silent, np.full_like(u, np.nan))
     segment = Segment(record, held(u, dt, 2), 6, 48, 6)
-    coordinates = ParameterCoordinates.of([(name, 0)], parameters(joint), dict.fromkeys(KINDS, np.ones(1)))
+    given = parameters(joint) | {LAG: np.array([1.5e-3]), RATIO: np.array([4e-3])}
+    coordinates = ParameterCoordinates.of([(name, 0)], given, dict.fromkeys(KINDS, np.ones(1)))
     arm = ElasticArm(robot, coordinates.dynamic)
     shooting, signals = Shooting(arm, coordinates.delays), (("q_l", 0), ("q_m", 0))
 
@@ -127,13 +132,30 @@ def test_sensitivities_equal_central_differences(name: str) -> None:
         assert found is not None
         return found.predicted
 
-    z, step = coordinates.mean, 1e-5 * max(abs(coordinates.mean[0]), 1e-2)
+    z, step = coordinates.mean, 1e-5 * max(abs(coordinates.mean[0]), 1e-5 if name == LAG else 1e-2)
     found = problem.compare(0, z, x, np.ones(2))
     assert found is not None
     difference = (predicted(z + step) - predicted(z - step)) / (2 * step)
     residual = -predicted(z)
     assert found.H[4, 4] == pytest.approx(np.sum(difference**2), rel=1e-4)
     assert found.g[4] == pytest.approx(np.sum(difference * residual), rel=1e-4)
+
+
+@pytest.mark.parametrize("lag", [0.0, 5e-4, 2e-3, 5e-3])
+def test_efforts_behind_a_lag_have_its_gain_and_phase(lag: float) -> None:
+    dt, samples = 1e-3, 4000
+    shooting = Shooting(ElasticArm(fjr.single_link(), ()), ())
+    for frequency in (1.0, 5.0, 10.0):
+        s = 2j * np.pi * frequency
+        u = np.exp(s * dt * np.arange(samples))
+        real, imaginary = (
+            held(np.ascontiguousarray(part)[:, None], dt, 1).behind(*shooting.library, np.array([lag / dt]))[:, -1, 0]
+            for part in (u.real, u.imag)
+        )
+        found = complex(real[0], imaginary[0]) / u[-1]
+        early = (np.sqrt(1 + 4 * (lag / dt) ** 2) - 1) / 2 * dt  # by which the delay is shorter
+        third = abs(s * lag) ** 2 * abs(s) * max(lag, dt) / 3
+        assert abs(found * np.exp(s * early) - np.exp(s * lag) / (1 + s * lag)) <= third / 4 + 1e-9
 
 
 def three_joints() -> Robot:

@@ -52,10 +52,8 @@ LACKING: Mapping[tuple[str, ...], str] = {
     (LINK, TORQUE): f"{BY_RESONANCE}, only gravity the offset of its spring; the control law needs the link encoder",
     (MOTOR,): "the torque sensor replaces it; nothing reveals the offset of the spring",
     (MOTOR, TORQUE): f"{BY_RESONANCE}, nothing the offset of its spring; the control law needs one of the two",
-}
-"""What it means that a joint has none of these sensors."""
-NOT_SEEN = "would not be noticed and would bias motor inertia, stiffness and friction"
-"""What it means that one side only of a joint is measured."""
+}  # what it means that a joint has none of these sensors
+NOT_SEEN = "would not be noticed and would bias motor inertia, stiffness and friction"  # with one side only
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +213,4 @@ def _not_seen(records: Sequence[MotionRecord], robot: Robot) -> list[str]:
 
 def _factors(values: Sequence[float]) -> str:
     """Return the factors of the joints, in their order, from which on an error is seen, equal ones once."""
-    texts = [f"{value:.3g}" if np.isfinite(value) else "any" for value in dict.fromkeys(values)]
-    if "any" in texts:
-        return ", ".join("any" if text == "any" else f"up to {text} times" for text in texts)
-    return f"up to {', '.join(texts)} times"
+    return ", ".join(f"up to {value:.3g} times" if np.isfinite(value) else "any" for value in dict.fromkeys(values))

@@ -22,24 +22,11 @@ from fjr_monitor.recording.files import BagError, Times
 from fjr_monitor.recording.signals import ANSWERS, EFFORTS, STATES, first_of_each_stamp, match_stamps
 from fjr_msgs_py.names import motor_name, state_names
 
+from . import record_map
 from .estimation.motion_record import MotionRecord, record_of_samples
 from .record_checks import findings
-from .record_map import (
-    BY_COMMANDS,
-    BY_STATES,
-    EFFORT,
-    LINK,
-    MOTOR,
-    PARQUET,
-    TORQUE,
-    UNITS,
-    BagMap,
-    TableMap,
-    arrow,
-    header_of,
-)
 
-TABLES = (".csv", ".csv.gz", ".txt", ".tsv", PARQUET)
+TABLES = (".csv", ".csv.gz", ".txt", ".tsv", record_map.PARQUET)
 SCENARIO = "scenario.yaml"
 LARGEST = 2 * 10**7  # numbers of a record in memory
 BYTES, MESSAGES = 2**22, 4096  # of a CSV file, of states in a bag, that are read together
@@ -83,7 +70,7 @@ class Reading:
     accepted: kinds of contradictions that are reported and not refused.
     """
 
-    mapping: TableMap | BagMap | None = None
+    mapping: record_map.TableMap | record_map.BagMap | None = None
     start: float = 0.0
     duration: float = np.inf
     accepted: Collection[str] = ()
@@ -98,7 +85,7 @@ def read_record(
     """
     window = TimeWindow(reading.start, reading.duration)
     if path.name.endswith(TABLES):
-        if not isinstance(reading.mapping, TableMap):
+        if not isinstance(reading.mapping, record_map.TableMap):
             raise RecordError(
                 f"{path} is a table; expected --map FILE with its columns and units (--write-map makes one)"
             )
@@ -108,20 +95,20 @@ def read_record(
     return record, (*notes, *_checked(path, record, robot, reading.accepted))
 
 
-def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot) -> BagMap:
+def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot) -> record_map.BagMap:
     """Return the mapping of a bag: of the mapping file, else of the scenario of the run, else the usual one."""
-    if isinstance(reading.mapping, TableMap):
+    if isinstance(reading.mapping, record_map.TableMap):
         raise RecordError(f"{path} is a bag and the mapping file has columns; expected one with 'bag'")
     if reading.mapping is not None:
         return reading.mapping
     run = next((folder for folder in (path, *path.resolve().parents[:2]) if (folder / SCENARIO).is_file()), None)
     if run is None:
-        return BagMap(np.ones(len(joints)))
+        return record_map.BagMap(np.ones(len(joints)))
     scenario = load_scenario(run / SCENARIO, user_code=False)
     if scenario.joints != joints:
         raise RecordError(f"{path} was recorded with the joints {scenario.joints}; expected {joints}, as the robot")
     measured = scenario.measurement
-    return BagMap(np.asarray(measured.gear_ratio, dtype=float), by_torque=measured.by_torque)
+    return record_map.BagMap(np.asarray(measured.gear_ratio, dtype=float), by_torque=measured.by_torque)
 
 
 def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collection[str]) -> tuple[str, ...]:
@@ -137,13 +124,13 @@ def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collectio
 
 
 def record_of_table(
-    path: Path, mapping: TableMap, joints: tuple[str, ...], window: TimeWindow
+    path: Path, mapping: record_map.TableMap, joints: tuple[str, ...], window: TimeWindow
 ) -> tuple[MotionRecord, tuple[str, ...]]:
     """Return the record of a table within the window, and notes on it.
 
     Raises RecordError, which names the file, row and column, and MissingPackageError.
     """
-    names, rows, pa = mapping.columns, 0, arrow()
+    names, rows, pa = mapping.columns, 0, record_map.arrow()
     blocks: list[Array] = []
     try:
         for block in _blocks(path, names, mapping.delimiter):
@@ -159,23 +146,25 @@ def record_of_table(
     if not blocks:
         raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
     values = np.concatenate(blocks)
-    signals = {name: np.full((len(values), len(joints)), np.nan) for name in UNITS}
+    signals = {name: np.full((len(values), len(joints)), np.nan) for name in record_map.UNITS}
     for name, columns in mapping.signals.items():
         for joint, column in columns.items():
             signals[name][:, joints.index(joint)] = column.factor * values[:, names.index(column.name)]
-    q_l, q_m, u, torque = (signals[name] for name in (LINK, MOTOR, EFFORT, TORQUE))
+    q_l, q_m, u, torque = (
+        signals[name] for name in (record_map.LINK, record_map.MOTOR, record_map.EFFORT, record_map.TORQUE)
+    )
     return record_of_samples(path.name, joints, values[:, 0], q_l, q_m, u, torque)
 
 
 def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:
     """Yield the named columns (rows, columns) of a table block by block."""
-    pa = arrow()
-    if path.name.endswith(PARQUET):
+    pa = record_map.arrow()
+    if path.name.endswith(record_map.PARQUET):
         file = pa.parquet.ParquetFile(path)
         _check_header(path, file.schema_arrow.names, names)
         batches = file.iter_batches(columns=names, batch_size=2**16)
     else:
-        skipped, header = header_of(path, delimiter)
+        skipped, header = record_map.header_of(path, delimiter)
         _check_header(path, header, names)
         batches = pa.csv.open_csv(
             pa.input_stream(str(path), compression="detect"),
@@ -209,7 +198,7 @@ def _check_finite(path: Path, names: list[str], block: Array, before: int) -> No
 
 
 def record_of_bag(
-    path: Path, mapping: BagMap, joints: tuple[str, ...], window: TimeWindow
+    path: Path, mapping: record_map.BagMap, joints: tuple[str, ...], window: TimeWindow
 ) -> tuple[MotionRecord, tuple[str, ...]]:
     """Return the record of a bag from the first commanded state on, within the window, and notes on it.
 
@@ -217,8 +206,8 @@ def record_of_bag(
     torque of the motors in the states. Raises BagError, RecordError.
     """
     bag = read_bag(path, mapping.namespace)
-    commands = None if mapping.effort == BY_STATES else next(filter(bag.holds, (ANSWERS, EFFORTS)), None)
-    if mapping.effort == BY_COMMANDS and commands is None:
+    commands = None if mapping.effort == record_map.BY_STATES else next(filter(bag.holds, (ANSWERS, EFFORTS)), None)
+    if mapping.effort == record_map.BY_COMMANDS and commands is None:
         bag.held(ANSWERS)
     columns = {STATES: state_names(joints)} | ({commands: joints} if commands else {})
     read = _messages(bag, columns, window)

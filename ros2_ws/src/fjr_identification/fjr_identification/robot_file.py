@@ -37,18 +37,15 @@ from fjr_design.uncertainty.posterior import MATRICES, UNKNOWN, Estimate, Identi
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 
 from .estimation.elastic_arm import corrected_bodies
-from .estimation.parameters import HARDENING, PAYLOAD, PSEUDO_INERTIA, SMOOTHING, STRIBECK, USUAL_STRIBECK
+from .estimation.parameters import HARDENING, LAG, PAYLOAD, PSEUDO_INERTIA, SMOOTHING, STRIBECK, USUAL_STRIBECK
 
 GEAR_RATIO = "robot.gear_ratio"
 CORRECTED = "robot.urdf"
 STATED = f"imperfections.{SMOOTHING}"
 FRICTION = {
-    "link_coulomb_friction": "coulomb_l",
-    "motor_coulomb_friction": "coulomb_m",
-    "link_static_friction": "static_l",
-    "motor_static_friction": "static_m",
-    "link_load_friction": "load_l",
-    "motor_load_friction": "load_m",
+    f"{side}_{kind}_friction": f"{kind}_{side[0]}"
+    for kind in ("coulomb", "static", "load")
+    for side in ("link", "motor")
 }
 MOTION = ("amplitude", "frequency", "offset", "phase")
 STABLE_STEP = 2.0  # friction rate times inner step; Runge-Kutta 4 is stable below 2.78
@@ -185,13 +182,13 @@ class IdentifiedRobot:
     def _of(self, name: str) -> list[Estimate]:
         return [estimate for estimate in self.identification.estimates if estimate.name == name]
 
-    def _of_joints(self, name: str, default: Array | float) -> Array:
-        """Return a parameter of all joints (n,), the default where it was not estimated."""
+    def _of_joints(self, name: str, default: Array | float, end: str = "value") -> Array:
+        """Return a parameter of all joints (n,), or an end of its intervals; the default where it was not estimated."""
         joints = self.nominal.joints
         values = np.array(np.broadcast_to(default, len(joints)), dtype=float)
         for estimate in self._of(name):
             if estimate.joint in joints:
-                values[joints.index(estimate.joint)] = estimate.value
+                values[joints.index(estimate.joint)] = getattr(estimate, end)
         return values
 
     def _guess(self, changed: Mapping[str, object], name: str, j: int) -> float:
@@ -217,8 +214,10 @@ class IdentifiedRobot:
             mass, *place = (significant(self._of(name)[0].value) for name in PAYLOAD)
             found.append((PAYLOAD, {"payload_mass": f"{max(0.0, mass)}", "payload_position": _value(place)}))
         if self._of("effort_delay"):
-            delay = significant(max(0.0, self.effort_delay))
-            found.append((["effort_delay"], {"command_delay": f"{delay}   # s, the largest of all joints"}))
+            lag = self._of_joints(LAG, 0.0) * (self._of_joints(LAG, 0.0, "low") > 0)
+            delay = significant(max(0.0, self.effort_delay - float(np.max(lag))))
+            lags = {LAG: _numbers(lag)} if np.any(lag) else {}
+            found.append((["effort_delay", LAG], {"command_delay": f"{delay}   # s, without lag", **lags}))
         return found
 
     @property
@@ -236,7 +235,7 @@ class IdentifiedRobot:
 
     def _left_out(self) -> list[str]:
         """Return the estimates that no parameter of a scenario expresses, in words."""
-        placed = {*MATRICES, HARDENING, *FRICTION, STRIBECK, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay"}
+        placed = {*MATRICES, HARDENING, *FRICTION, STRIBECK, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay", LAG}
         estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
         return [described(estimate) for estimate in estimates if estimate.name not in placed]
 

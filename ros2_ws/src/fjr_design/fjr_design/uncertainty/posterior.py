@@ -28,8 +28,8 @@ from fjr_design.batch.draws import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
 from .drawn_loops import DrawnPlants
 
 IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
-LOG, NONNEGATIVE, LINEAR = "log", "non-negative", "linear"
-"""Coordinates of a parameter in the posterior: its logarithm, or the parameter, whose draws may be clipped at 0."""
+LOG, NONNEGATIVE, LINEAR, SQUARE = "log", "non-negative", "linear", "square"
+"""Coordinates of a parameter in the posterior: its logarithm, itself, clipped at 0 or not, its square, clipped at 0."""
 DEFLECTION = "deflection"
 """Signal q_m - q_l of a fit that follows from the motion."""
 MATRICES = {one.parameter: one.matrix for one in DEVIATIONS.values() if one.matrix}
@@ -46,7 +46,8 @@ def natural(z: Array, coordinate: str) -> Array:
     """Return parameter values of their coordinates."""
     if coordinate == LOG:
         return np.exp(z)
-    return np.maximum(z, 0.0) if coordinate == NONNEGATIVE else z
+    clipped = z if coordinate == LINEAR else np.maximum(z, 0.0)
+    return np.sqrt(clipped) if coordinate == SQUARE else clipped
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,10 @@ class Estimate:
     name: joint_stiffness [N m/rad], motor_inertia [kg m^2], link_damping, motor_damping [N m s/rad],
     link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], stribeck_velocity
     [rad/s], link_load_friction, motor_load_friction [1], offset [rad] (of q_m - q_l at zero spring torque), link_skew,
-    motor_skew, torque_skew, effort_delay [s], payload_mass [kg], payload_position_x, _y, _z [m], position_torque_sin1,
-    _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the whole arm. An UNKNOWN parameter keeps its prior; reason
-    says which motion would reveal it. deflections [rad]: range a stiffness was seen in. at_least: its bound if UNKNOWN,
-    0: none.
+    torque_skew, effort_delay, actuator_lag [s], gear_ratio_error [1] (of q_m), payload_mass [kg], payload_position_x,
+    _y, _z [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the whole arm. An UNKNOWN
+    parameter keeps its prior; reason says which motion would reveal it. deflections [rad]: range a stiffness was seen
+    in. at_least: its bound if UNKNOWN, 0: none.
     """
 
     name: str
@@ -104,8 +105,8 @@ class Fit:
 class Identification:
     """Estimates of all parameters, and the posterior of those that are not UNKNOWN.
 
-    coordinates: LOG, NONNEGATIVE or LINEAR per entry of the posterior; free: index into `estimates` of each entry. mean
-    (p,) and covariance (p, p) are in these coordinates.
+    coordinates: LOG, NONNEGATIVE, LINEAR or SQUARE per entry of the posterior; free: index into `estimates` of each
+    entry. mean (p,) and covariance (p, p) are in these coordinates.
     """
 
     joints: tuple[str, ...]

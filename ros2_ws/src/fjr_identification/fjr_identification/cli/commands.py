@@ -8,19 +8,11 @@ from typing import Any
 import click
 
 from fjr_msgs_py.console import options
-from fjr_msgs_py.console.options import (
-    command,
-    duration_option,
-    implementation,
-    output_option,
-    scenario_argument,
-    set_option,
-)
 
 
-@command()
-@scenario_argument
-@duration_option("Duration of the record in seconds.", 20.0)
+@options.command()
+@options.scenario_argument
+@options.duration_option("Duration of the record in seconds.", 20.0)
 @click.option(
     "--noise",
     type=options.ENCODER_NOISE,
@@ -30,18 +22,18 @@ from fjr_msgs_py.console.options import (
 )
 @click.option("--seed", type=options.SEED, metavar="N", default=0, help="Seed of the random start of the search.")
 @click.option("--force", is_flag=True, help="Replace an earlier file.")
-@output_option("Scenario file to write. [default: SCENARIO_excite.yaml]", kind="FILE")
-@set_option
+@options.output_option("Scenario file to write. [default: SCENARIO_excite.yaml]", kind="FILE")
+@options.set_option
 def excite(**given: Any) -> Any:
     """Design the motion from which a robot is identified best.
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`), a YAML file, or a robot file. The reference
     keeps 90 % of the limits of position, speed, acceleration, deflection and effort.
     """
-    return implementation("fjr_identification.cli.excite").excite(**given)
+    return options.implementation("fjr_identification.cli.excite").excite(**given)
 
 
-@command()
+@options.command()
 @click.argument("records", nargs=-1, required=True, metavar="RECORD...", type=options.PATH)
 @click.option("--robot", type=options.PATH, metavar="FILE", help="Robot file or scenario, the prior.  [required]")
 @click.option(
@@ -53,7 +45,7 @@ def excite(**given: Any) -> Any:
 )
 @click.option("--joints", type=options.names, metavar="A,B", default="", show_default="all", help="Joints to identify.")
 @click.option("--start", type=options.SINCE, metavar="S", default=0.0, help="Skip the first S seconds of each record.")
-@duration_option("Duration in seconds of each record. [default: all]")
+@options.duration_option("Duration in seconds of each record. [default: all]")
 @click.option(
     "--accept", "accepted", metavar="KIND", multiple=True, help="Report a contradiction of this kind, do not refuse it."
 )
@@ -68,7 +60,7 @@ def excite(**given: Any) -> Any:
     show_default=False,
     help="Joint with a torque that depends on its position.",
 )
-@output_option("Folder for robot.yaml, identification.json and the page.", "identified")
+@options.output_option("Folder for robot.yaml, identification.json and the page.", "identified")
 def identify(**given: Any) -> Any:
     """Identify a robot from recorded motion.
 
@@ -76,4 +68,4 @@ def identify(**given: Any) -> Any:
     verdict.
     """
     duration = given["duration"] or float("inf")
-    return implementation("fjr_identification.cli.identify").identify(**{**given, "duration": duration})
+    return options.implementation("fjr_identification.cli.identify").identify(**{**given, "duration": duration})

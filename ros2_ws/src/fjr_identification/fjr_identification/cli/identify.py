@@ -145,11 +145,8 @@ def _write(
         write_text(folder / CORRECTED, robot.corrected_urdf)
     write_text(folder / VALUES, json_text(values, indent=1) + "\n")
     seconds = sum(record.dt * len(record.u) for record in records)
-    notes = [
-        *values["lacking"],
-        *values["notes"],
-        *([f"robot.yaml has no gains: {file.reason}"] if file.reason else []),
-    ]
+    no_gains = [f"robot.yaml has no gains: {file.reason}"] if file.reason else []
+    notes = [*values["lacking"], *values["notes"], *no_gains]
     write_page(folder / PAGE, nominal.name, identification, compared, notes, seconds)
     return file
 

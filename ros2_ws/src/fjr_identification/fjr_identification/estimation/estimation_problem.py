@@ -121,7 +121,10 @@ class Estimation:
             filtered_states += [motion.state(piece.first - piece.pad) for piece in pieces]
         signals = measured_signals(self.records)
         floor = np.array([_least_noise(self.records, *signal) for signal in signals])
-        states, width = np.array(filtered_states), _state_width(self.motions)
+        deflection = np.max([np.max(np.abs(m.q_m - m.q_l), axis=0) for m in self.motions], axis=0)
+        speed = np.max([np.max(np.abs(m.v_m), axis=0) for m in self.motions], axis=0)
+        width = np.concatenate([np.tile(WIDE + 2 * deflection, 2), np.tile(FAST + 2 * speed, 2)])
+        states = np.array(filtered_states)
         shooting = Shooting(arm, coordinates.delays)
         return Problem(segments, shooting, coordinates, signals, floor, states, width, self.options.threads)
 
@@ -151,7 +154,7 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Iden
         for j in range(size(name, robot.n)):
             other = name in POSITION_TORQUE and joints[j] != options.position_torque
             other |= name not in PAYLOAD and bool(options.joints) and joints[j] not in options.joints
-            no_link = name == "link_skew" and not {("q_l", j), ("q_m", j)} <= measured
+            no_link = name in ("link_skew", "gear_ratio_error") and not {("q_l", j), ("q_m", j)} <= measured
             no_torque = name == "torque_skew" and ("torque", j) not in measured
             if not (other or no_link or no_torque):
                 free.append((name, j))
@@ -177,13 +180,6 @@ def _noise(records: Sequence[MotionRecord]) -> Array:
     left = [inner(q - smoothed(q, r.dt), r.dt) for r in records for q in (r.q_l, r.q_m)]
     with np.errstate(all="ignore"):
         return np.asarray(np.fmin.reduce([np.sqrt(np.mean(rest**2, axis=0)) for rest in left]))
-
-
-def _state_width(motions: Sequence[FilteredMotion]) -> Array:
-    """Return how far initial states (4n,) may be from the filtered ones: twice the largest deflection and speed."""
-    deflection = np.max([np.max(np.abs(m.q_m - m.q_l), axis=0) for m in motions], axis=0)
-    speed = np.max([np.max(np.abs(m.v_m), axis=0) for m in motions], axis=0)
-    return np.concatenate([np.tile(WIDE + 2 * deflection, 2), np.tile(FAST + 2 * speed, 2)])
 
 
 def _least_noise(records: Sequence[MotionRecord], signal: str, joint: int) -> float:

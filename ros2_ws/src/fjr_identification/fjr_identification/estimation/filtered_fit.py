@@ -30,7 +30,7 @@ from .estimation_problem import Estimation
 from .motion_record import FilteredMotion, decimated, inner, shifted
 from .multiple_shooting import NormalEquations, with_prior
 from .optimise import bounded_step
-from .parameters import HARDENING, OF_LINKS, POSITION_TORQUE, SMOOTHING
+from .parameters import HARDENING, LAG, OF_LINKS, POSITION_TORQUE, RATIO, SMOOTHING
 from .verdicts import Estimates, estimates_at, not_identifiable
 
 BLOCK = 1.0  # s; longer than the correlation of the errors
@@ -91,7 +91,7 @@ class FilteredEquations:
         """Return the errors [rad] of the equation of link j in a record."""
         p, m = self.p, self.setup.motions[record]
         tau, columns, q = self._spring_torque(record, j)
-        K, cubic, deflection = p["joint_stiffness"][j], p[HARDENING][j], m.q_m[:, j] - q
+        K, cubic, q_m = p["joint_stiffness"][j], p[HARDENING][j], m.q_m[:, j] / (1 + p[RATIO][j])
         zeta = springs.root(K, cubic, tau, np)
         tangent = K + 3 * cubic * zeta**2
         columns = {name: column / tangent for name, column in columns.items()}
@@ -99,20 +99,24 @@ class FilteredEquations:
         columns[(HARDENING, j)] = -(zeta**3) / tangent
         columns[("offset", j)] = np.ones(len(q))
         columns[("link_skew", j)] -= np.gradient(q, m.dt)
-        errors = deflection - p["offset"][j] - zeta
-        return self._side(record, deflection, errors, columns, tau, np.ones(len(q), dtype=bool))
+        columns[(RATIO, j)] = q_m
+        errors = q_m - q - p["offset"][j] - zeta
+        return self._side(record, q_m - q, errors, columns, tau, np.ones(len(q), dtype=bool))
 
     def motor(self, record: int, j: int) -> Side:
         """Return the errors [N m] of the equation of motor j in a record."""
         p, m = self.p, self.setup.motions[record]
         tau, columns, _ = self._spring_torque(record, j)
         u = shifted((m.u @ self.setup.robot.B_m.T)[:, j], m.dt, p["effort_delay"][j] + m.dt / 2)
+        bend = np.gradient(np.gradient(u, m.dt), m.dt) / 2
+        u = u + p[LAG][j] ** 2 * bend
         B, v, friction = p["motor_inertia"][j], m.v_m[:, j], coulomb(m.v_m[:, j], p[SMOOTHING][j])
         columns[("motor_inertia", j)] = B * m.a_m[:, j]
         columns[("motor_damping", j)] = v
         columns[("motor_coulomb_friction", j)] = friction
         columns[("motor_load_friction", j)] = np.abs(tau) * friction
         columns[("effort_delay", j)] = np.gradient(u, m.dt)
+        columns[(LAG, j)] = -bend
         level = p["motor_coulomb_friction"][j] + p["motor_load_friction"][j] * np.abs(tau)
         explained = tau + B * m.a_m[:, j] + p["motor_damping"][j] * v + level * friction
         return self._side(record, u, u - explained, columns, tau, np.abs(v) > MOVING * p[SMOOTHING][j])

@@ -37,7 +37,7 @@ from .filtered_fit import (
 from .lack_of_fit import rubs_with_load, seen, withheld
 from .motion_record import MotionRecord, shifted
 from .multiple_shooting import PredictedSegments
-from .optimise import COLOURED, coloured, joints_with_jumps, optimise, parameter_step, refine, with_reversals
+from .optimise import COLOURED, coloured, joints_lacking, optimise, parameter_step, refine, with_reversals
 from .parameters import COULOMB, PAYLOAD, SMOOTHING, IdentifyOptions, Prior
 from .validation import deflection_error, motion_fits, simulated_fits
 from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable, spurious_information
@@ -45,18 +45,14 @@ from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 NOT_CONVERGED = (
     "the fit did not reach a minimum, so that the interval may be too narrow; check signs, units and the prior"
 )
-WORSE, DOUBTFUL = 1.5, 1.1
-"""Unexplained deflection, relative to that of filtered least squares, beyond which a simulation does not fit.
-
-The first one is for a fit that has converged, the second one for one that has not.
-"""
-RUBS = 2.0
-"""Friction of a joint that is not 0 by chance, in standard deviations."""
-LIKELIER = 10.0
-"""Increase of log L by the parameters of a friction that falls with the velocity, from which on they count."""
+WORSE, DOUBTFUL = (
+    1.5,
+    1.1,
+)  # unexplained deflection of a fit that has converged or not, by that of filtered least squares
+RUBS = 2.0  # standard deviations; friction of a joint that is not 0 by chance
+LIKELIER = 10.0  # increase of log L from which on a friction that falls with the velocity counts
 SMOOTHER = (1.0, 0.1)  # times the prior's velocity over which friction turns over
-MOST = 1.0
-"""Displacement, relative to the deflection, beyond which a simulation does not predict it."""
+MOST = 1.0  # displacement, relative to the deflection, beyond which a simulation does not predict it
 
 Progress = Callable[[str, float], None]
 
@@ -134,7 +130,7 @@ class Simulation:
 def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progress) -> Simulation:
     """Return the most likely parameters by simulation, without those that the records do not determine."""
     best = _optimum(setup, start, progress)
-    if coloured(best) >= COLOURED and not setup.options.static_friction:
+    if np.max(coloured(best)) >= COLOURED and not setup.options.static_friction:
         setup, best = _falling_with_speed(setup, best, progress)
     best, smooth = with_reversals(best, lambda share: progress("friction of another shape", share)), best
     progress("intervals", 0.0)
@@ -153,7 +149,7 @@ def simulated_fit(setup: Estimation, start: Mapping[str, Array], progress: Progr
         last = refine(best.problem.holding(fixed), z, near.x0, best.noise, again)
     doubt = "" if last.converged else NOT_CONVERGED
     step = None if last.converged else parameter_step(last, 0.0)
-    estimates = estimates_at(setup, parts, spurious, fixed, last.z, doubt, step, joints_with_jumps(smooth, best))
+    estimates = estimates_at(setup, parts, spurious, fixed, last.z, doubt, step, *joints_lacking(smooth, best))
     return Simulation(setup, best, estimates, simulated_fits(last, last.noise), last.converged)
 
 
@@ -172,7 +168,7 @@ def _falling_with_speed(
         static = _optimum(richer, {**near, **smoother}, progress)
         if static.cost < best.cost - LIKELIER:
             setup, best = richer, static
-        if coloured(best) < COLOURED:
+        if np.max(coloured(best)) < COLOURED:
             break
     return setup, best
 

@@ -8,6 +8,8 @@ The equations along a filtered motion (`filtered_fit`) are fitted again, each ti
     zeta                      = tau / K - c w               hysteresis: w follows zeta, but slips at +-s (J. C. Maxwell)
     zeta                      = tau / K + a sin(n q_m + f)  kinematic error of the gear, n times in a turn
     u                         = tau + B a_m + ... + c rigid links that are 1 + c times as heavy as in the robot file
+    both                      = ... + sum_k a_k sin k q + b_k cos k q, k = 1, 2     the torque of a cable; if zeta alone
+                                                             has it, an eccentric encoder
 
 A term counts if it explains much of what the equation leaves, and stands out against its deviation over blocks of the
 record, whose scores are nearly independent. Friction of other shapes leaves errors, too, but not ones that follow the
@@ -27,10 +29,11 @@ from fjr_core.model import springs
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Estimate
 
+from .elastic_arm import position_terms
 from .estimation_problem import Estimation
 from .filtered_fit import BLOCK, FEWEST_BLOCKS, FilteredEquations, Side
 from .motion_record import decimated, inner, shifted
-from .parameters import HARDENING, LOAD
+from .parameters import HARDENING, LOAD, RATIO
 from .verdicts import CONFIDENCE, Estimates
 
 SHARE = 0.3  # of the squares that the equation leaves, which a term explains
@@ -51,8 +54,7 @@ OUTLYING = 4.0  # median errors, beyond which they are cut where a kinematic err
 FAINT, SURER = 0.1, 8.0  # as SHARE and SURE, of a kinematic error, whose band has more noise
 
 
-Parameter = tuple[str, int]
-"""Name and index of a parameter."""
+Parameter = tuple[str, int]  # name and index
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,20 +79,22 @@ class Rows:
         wald = float(c @ np.linalg.pinv(covariance) @ c) / len(c)
         share = 1 - float(left @ left) / max(float(straight @ straight), 1e-300)
         changes = np.linalg.lstsq(self.columns, self.errors - added @ c, rcond=1e-10)[0]
-        return Term(share, float(np.sqrt(max(wald, 0.0))), c, float(np.sum(changes[:1])))
+        size = float(np.sqrt(np.mean((T @ c) ** 2)))
+        return Term(share, float(np.sqrt(max(wald, 0.0))), c, float(np.sum(changes[:1])), size)
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
     """A term of an equation. share: of the squares that it explains. ratio: coefficients by their deviations.
 
-    log_stiffness: by how much log K changes with it, if the first column is that of K.
+    log_stiffness: by how much log K changes with it, if the first column is that of K. size: root mean square.
     """
 
     share: float
     ratio: float
     c: Array
     log_stiffness: float
+    size: float
 
     def is_cause(self, share: float = SHARE, ratio: float = SURE) -> bool:
         """Return whether the term is a cause."""
@@ -118,6 +122,7 @@ def seen(setup: Estimation, z: Array) -> dict[str, Seen]:
             continue
         K = float(equations.p["joint_stiffness"][j])
         wrong = _of_links(equations, j) or _of_spring(equations, sides, j) or _of_records(setup, sides, j, K)
+        wrong = wrong or _of_position(equations, sides, j)
         c, deviation, blocks = _compliance(setup, sides, j)
         reach = float(student.ppf(CONFIDENCE, blocks - 1)) * deviation
         joints[joint] = Seen(wrong, K / (c + reach) if abs(c) < reach else 0.0)
@@ -128,7 +133,8 @@ def deflections(setup: Estimation, z: Array, j: int) -> list[float]:
     """Return the ends of the deflections [rad] of joint j, of 98 % of the samples, at z (p,)."""
     p, records = setup.coordinates.parameters(z), [record for record in setup.records if record.both_sides(j)]
     late = [shifted(record.q_l[:, j], record.dt, p["link_skew"][j]) for record in records]
-    zeta = [record.q_m[:, j] - q - p["offset"][j] for record, q in zip(records, late, strict=True)]
+    gear = 1 + p[RATIO][j]
+    zeta = [record.q_m[:, j] / gear - q - p["offset"][j] for record, q in zip(records, late, strict=True)]
     return [float(end) for end in np.nanquantile(np.concatenate(zeta), EXTENT)]
 
 
@@ -137,23 +143,35 @@ def rubs_with_load(setup: Estimation, z: Array) -> bool:
     equations = FilteredEquations(setup, z)
     for j in range(setup.robot.n):
         sides = equations.motors(j)
-        term = _of_effort(setup, sides, [side.columns[(LOAD[1], j)] for side in sides])
+        term = _of_effort(setup, sides, [side.columns[(LOAD[1], j)][:, None] for side in sides])
         if term.is_cause() and term.c[0] > LEAST_SHARE:
             return True
     return False
 
 
 def _of_effort(setup: Estimation, sides: Sequence[Side], torques: Sequence[Array]) -> Term:
-    """Return what one more torque explains of the equations of a motor, one in each record."""
+    """Return what more torques (k, c) explain of the equations of a motor, some in each record."""
     pairs = zip(sides, torques, strict=True)
-    added = np.concatenate([decimated(torque * side.used, side.stride) for side, torque in pairs])
-    return _rows(sides, _columns(setup, sides)).term(added[:, None])
+    added = np.concatenate([decimated(torque * side.used[:, None], side.stride) for side, torque in pairs])
+    return _rows(sides, _columns(setup, sides)).term(added)
+
+
+def _of_position(equations: FilteredEquations, links: Sequence[Side], j: int) -> str:
+    """Return a sentence if the equation of the spring of joint j depends on its position, and so does its effort."""
+    setup, motors = equations.setup, equations.motors(j)
+    terms = [np.column_stack(position_terms(inner(m.q_m[:, j], m.dt), np)) for m in setup.motions]
+    on_link, on_motor = (_of_effort(setup, sides, [terms[side.record] for side in sides]) for sides in (links, motors))
+    if not on_link.is_cause():
+        return ""
+    if on_motor.is_cause() and on_motor.size > LEAST * motors[0].measured:
+        return "a torque that depends on the position is missing, such as that of a cable or a counterbalance"
+    return "q_m - q_l depends on the position: an encoder is eccentric"
 
 
 def _of_links(equations: FilteredEquations, j: int) -> str:
     """Return a sentence if the effort of joint j needs other links than those of the robot file."""
     sides = equations.motors(j)
-    loads = [inner(equations.rigid[side.record][0][:, j], side.dt) for side in sides]
+    loads = [inner(equations.rigid[side.record][0][:, [j]], side.dt) for side in sides]
     term = _of_effort(equations.setup, sides, loads)
     factor = 1 + float(term.c[0])
     if not term.is_cause() or abs(factor - 1) < LIGHT or not 1 / MOST < factor < MOST:

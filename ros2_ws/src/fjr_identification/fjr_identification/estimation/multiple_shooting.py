@@ -26,7 +26,7 @@ from scipy.linalg import cho_factor, cho_solve
 from fjr_core.numerics.checks import Array
 
 from .motion_record import SIGNALS, MotionRecord
-from .parameters import LARGEST_SKEW, ParameterCoordinates
+from .parameters import LARGEST_SKEW, RATIO, ParameterCoordinates
 from .shooting import HeldEffort, Shooting
 
 SKEWS = {"q_l": "link_skew", "torque": "torque_skew"}
@@ -157,6 +157,8 @@ def _output(segment: Segment, signal: str, joint: int, p: Mapping[str, Array], X
     if signal == "torque":
         K = p["joint_stiffness"][joint]
         return K * (y - p["offset"][joint]), K * dy, K * sensitivities
+    if signal == "q_m" and (error := p[RATIO][joint]):
+        return (1 + error) * y, (1 + error) * dy, (1 + error) * sensitivities
     return y, dy, sensitivities
 
 
@@ -289,6 +291,8 @@ class Problem:
             if signal == "torque":
                 K = p["joint_stiffness"][joint]
                 measuring |= {"joint_stiffness": predicted[k] / K, "offset": np.full(len(dy), -K)}
+            elif signal == "q_m":
+                measuring[RATIO] = predicted[k] / (1 + p[RATIO][joint])
             for column, (name, i) in enumerate((self.coordinates.free[i] for i in moving), start=size):
                 if i == joint and name in measuring:
                     J[k, :, column] += measuring[name] / noise[k]

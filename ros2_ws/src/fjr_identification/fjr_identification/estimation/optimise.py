@@ -50,6 +50,7 @@ scores of segments show without jumps.
 """
 LAGS = np.array([-0.04, -0.02, -0.01, 0.0, 0.005, 0.01, 0.02, 0.04])  # s; from a reversal to the jumps
 SHAPE = 0.2  # of the residuals of a signal, left by jumps at reversals where friction has another shape
+SLOWLY = 0.5  # of the squares of what model and jumps leave of a signal, where the model lacks something else
 FIRST = 1e-2  # rad/s; width of jumps before it is estimated
 ROUNDS, LEAST_WIDTH = 2, 1e-9  # of the estimates of widths; of the first width
 
@@ -109,7 +110,11 @@ def descended(
     or after some that gain next to nothing of what the normal equations predict: the model has a kink there.
     Raises StateError if the prediction of the start is not finite.
     """
-    at, damping, stalled = _start(problem, z, x0, noise), SOFT, 0
+    at, damping, stalled = problem.evaluate(z, x0, noise), SOFT, 0
+    if at is not None and np.max(np.abs(np.log(at.residual / noise))) > SIMILAR:
+        at = problem.evaluate(z, at.x0, at.residual)  # in units of the noise there
+    if at is None:
+        raise StateError("the predicted motion does not stay finite; expected a prior nearer to the robot")
     for iteration in range(MOST_ITERATIONS):
         away = distance(at)
         progress(iteration / (iteration + np.log1p(away)) if iteration else 0.0)
@@ -122,16 +127,6 @@ def descended(
             break
     negligible = np.max(np.abs(parameter_step(at, 0.0)) / problem.coordinates.width) < NEGLIGIBLE
     return at, bool(distance(at) < NEAR or negligible)
-
-
-def _start(problem: Problem, z: Array, x0: Array, noise: Array) -> PredictedSegments:
-    """Return the prediction at z, in units of the noise there."""
-    at = problem.evaluate(z, x0, noise)
-    if at is not None and np.max(np.abs(np.log(at.residual / noise))) > SIMILAR:
-        at = problem.evaluate(z, at.x0, at.residual)
-    if at is None:
-        raise StateError("the predicted motion does not stay finite; expected a prior nearer to the robot")
-    return at
 
 
 def _search(at: PredictedSegments, damping: float) -> tuple[PredictedSegments, float] | None:
@@ -245,20 +240,22 @@ class Reversals:
         return np.ascontiguousarray(white[..., :-1]), white[..., -1], whitening
 
 
-def coloured(best: PredictedSegments) -> float:
-    """Return the largest share of the square of a signal's residuals that changes slowly: 0 for white ones."""
+def coloured(best: PredictedSegments) -> Array:
+    """Return the share (signals,) of the squares that model and jumps leave which changes slowly: 0 for white ones."""
     shares = []
     for k, signal in enumerate(best.problem.signals):
         pairs = zip(best.problem.segments, best.compared, strict=True)
-        residuals = [segment.measured(*signal) - compared.predicted[k] for segment, compared in pairs]
+        jumps = [each.whitening.explained[k] * best.noise[k] if each.whitening else 0.0 for each in best.compared]
+        smooth = [segment.measured(*signal) - compared.predicted[k] for segment, compared in pairs]
+        residuals = [left - jump for left, jump in zip(smooth, jumps, strict=True)]
         steps = np.concatenate([np.diff(residual) for residual in residuals])
         shares.append(1 - np.nanmean(steps**2) / 2 / np.nanmean(np.concatenate(residuals) ** 2))
-    return float(np.max(shares))
+    return np.array(shares)
 
 
 def with_reversals(best: PredictedSegments, progress: Progress) -> PredictedSegments:
     """Return the most likely parameters with jumps at reversals, if residuals at `best` are coloured; else `best`."""
-    if coloured(best) < COLOURED:
+    if np.max(coloured(best)) < COLOURED:
         return best
     width = first = np.full(len(LAGS) * best.x0.shape[1] // 2, FIRST)
     for _ in range(ROUNDS):
@@ -270,7 +267,10 @@ def with_reversals(best: PredictedSegments, progress: Progress) -> PredictedSegm
     return best
 
 
-def joints_with_jumps(smooth: PredictedSegments, best: PredictedSegments) -> set[int]:
-    """Return the joints whose friction has another shape: jumps at reversals explain most of what is left without."""
-    pairs = zip(best.problem.signals, best.residual < SHAPE * smooth.residual, strict=True)
-    return {joint for (_, joint), explained in pairs if explained}
+def joints_lacking(smooth: PredictedSegments, best: PredictedSegments) -> tuple[set[int], set[int]]:
+    """Return the joints whose friction has another shape, and those whose model lacks something else.
+
+    Jumps at reversals explain most of what is left without them, or neither explains what changes slowly.
+    """
+    of = np.array([joint for _, joint in best.problem.signals])
+    return {*of[best.residual < SHAPE * smooth.residual].tolist()}, {*of[coloured(best) > SLOWLY].tolist()}

@@ -17,7 +17,7 @@ from fjr_core.errors import ParameterError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
-from fjr_design.uncertainty.posterior import LINEAR, LOG, NONNEGATIVE
+from fjr_design.uncertainty.posterior import LINEAR, LOG, NONNEGATIVE, SQUARE, natural
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,7 @@ STRIBECK, USUAL_STRIBECK = "stribeck_velocity", 0.1  # rad/s
 PAYLOAD = ("payload_mass", "payload_position_x", "payload_position_y", "payload_position_z")
 POSITION_TORQUE = ("position_torque_sin1", "position_torque_cos1", "position_torque_sin2", "position_torque_cos2")
 LOG_CHOLESKY = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
-PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)
-"""Correction of the mass and inertia of each link (elastic_arm.corrected_chain); 0 is the robot file's."""
+PSEUDO_INERTIA = tuple(f"pseudo_inertia_{name}" for name in LOG_CHOLESKY)  # elastic_arm.corrected_chain
 KINDS = {
     "joint_stiffness": Kind(
         "N m/rad", LOG, "the spring deflects too little against the noise; use larger loads or accelerations", 0.7
@@ -78,22 +77,21 @@ KINDS = {
     **dict.fromkeys(POSITION_TORQUE, Kind("N m", LINEAR, RANGE)),
     **dict.fromkeys(PSEUDO_INERTIA, Kind("", LINEAR, TORQUES, 0.1)),
     "effort_delay": Kind("s", LINEAR, "needs efforts that change quickly; use faster reversals", 3e-3),
+    "actuator_lag": Kind("s", SQUARE, "needs efforts that change quickly; use faster reversals", 1e-5),
     "link_skew": Kind("s", LINEAR, "needs velocities that change; move faster", 3e-3),
     "torque_skew": Kind("s", LINEAR, "needs spring torques that change quickly; use faster reversals", 3e-3),
+    "gear_ratio_error": Kind("", LINEAR, "needs a large range, and torques that do not grow with the position", 5e-3),
 }
-"""All parameters by name."""
-OF_LINKS = (*PAYLOAD, *PSEUDO_INERTIA)
-"""Parameters that the torques of the rigid links depend on."""
-SMOOTHING = "friction_smoothing_velocity"
-"""Velocity v_0 over which the friction of a joint turns over, of both sides: level tanh(v / v_0)."""
+OF_LINKS = (*PAYLOAD, *PSEUDO_INERTIA)  # parameters that the torques of the rigid links depend on
+SMOOTHING = "friction_smoothing_velocity"  # v_0, over which friction of both sides turns over: level tanh(v / v_0)
 USUAL_SMOOTHING = 0.01  # rad/s, as of the plant
 COULOMB = ("link_coulomb_friction", "motor_coulomb_friction")
-LOAD = ("link_load_friction", "motor_load_friction")
-"""Share of the torque of the spring by which the friction of a side grows, as that of gears."""
+LOAD = ("link_load_friction", "motor_load_friction")  # share of the spring's torque, as in gears
 STATIC = ("link_static_friction", "motor_static_friction", STRIBECK)
-TIMING = ("effort_delay", "link_skew", "torque_skew")
-DYNAMIC = tuple(name for name in KINDS if name not in TIMING)
-"""Parameters of the equations of motion."""
+LAG, RATIO = "actuator_lag", "gear_ratio_error"
+"""Time constant of the torque behind an effort, which the delay contains; q_m without deflection over q_l, less 1."""
+TIMING = ("effort_delay", LAG, "link_skew", "torque_skew")
+DYNAMIC = tuple(name for name in KINDS if name not in (*TIMING, RATIO))  # parameters of the equations of motion
 HARDENING = "cubic_stiffness"
 FREED = {
     "static_friction": STATIC,
@@ -104,8 +102,7 @@ FREED = {
     "position_torque": POSITION_TORQUE,
 }
 """Parameters that options free, by the field of IdentifyOptions."""
-USUAL = tuple(name for name in KINDS if not any(name in names for names in FREED.values()))
-"""Parameters that are free by default."""
+USUAL = tuple(name for name in KINDS if not any(name in names for names in FREED.values()))  # free by default
 LARGEST_SKEW = 8e-3  # s
 
 
@@ -204,7 +201,8 @@ def _diagonal(name: str, matrix: Array) -> Array:
 class ParameterCoordinates:
     """The vector z of the free parameters (name, index), in the order of KINDS, with the normal prior of each.
 
-    values: of all parameters, by name. mean, width (p,): of the prior of z. z of a positive parameter is its logarithm.
+    values: of all parameters, by name. mean, width (p,): of the prior of z. z of a positive parameter is its logarithm,
+    that of a lag its square.
     held: entries of z with respect to which no derivatives are taken, so that they keep their value or go to the prior.
     """
 
@@ -232,23 +230,25 @@ class ParameterCoordinates:
         """Return all parameters by name at z (p,)."""
         values = {name: np.array(value, dtype=float) for name, value in self.values.items()}
         for (name, i), value in zip(self.free, z, strict=True):
-            values[name][i] = np.exp(value) if KINDS[name].coordinate == LOG else value
+            coordinate = KINDS[name].coordinate
+            values[name][i] = value if coordinate == NONNEGATIVE else natural(value, coordinate)
         return values
 
     def of_values(self, values: Mapping[str, Array]) -> Array:
         """Return z (p,) of parameters by name."""
+        inverse = {LOG: np.log, SQUARE: np.square}
         free = [(KINDS[name].coordinate, float(values[name][i])) for name, i in self.free]
-        return np.array([float(np.log(value)) if kind == LOG else value for kind, value in free])
+        return np.array([float(inverse[kind](value)) if kind in inverse else value for kind, value in free])
 
     def scale(self, z: Array) -> Array:
-        """Return d parameter / d z (p,) at z."""
+        """Return d parameter / d z (p,) at z; 1 for squares, by which derivatives are taken."""
         logarithmic = self._are(LOG)
         return np.where(logarithmic, np.exp(np.where(logarithmic, z, 0.0)), 1.0)
 
     @property
     def nonnegative(self) -> Array:
         """Return which entries (p,) of z are not negative."""
-        return self._are(NONNEGATIVE)
+        return self._are(NONNEGATIVE, SQUARE)
 
     @property
     def dynamic(self) -> tuple[tuple[str, int], ...]:
@@ -257,8 +257,10 @@ class ParameterCoordinates:
 
     @property
     def delays(self) -> tuple[int, ...]:
-        """Return the joints whose effort delay is not held."""
-        return tuple(self.free[k][1] for k in self.moving if self.free[k][0] == "effort_delay")
+        """Return the joints j whose effort delay is not held, and n + j of those whose actuator lag is not."""
+        of_effort, n = ("effort_delay", LAG), len(self.values["effort_delay"])
+        moving = (self.free[k] for k in self.moving)
+        return tuple(of_effort.index(name) * n + j for name, j in moving if name in of_effort)
 
-    def _are(self, coordinate: str) -> Array:
-        return np.array([KINDS[name].coordinate == coordinate for name, _ in self.free], dtype=bool)
+    def _are(self, *coordinates: str) -> Array:
+        return np.array([KINDS[name].coordinate in coordinates for name, _ in self.free], dtype=bool)

@@ -10,7 +10,7 @@ enum { BLOCKS = M / (8 * L) };
 
 static const double node[4] = {0, 0.5, 0.5, 1}, weight[4] = {1. / 6, 1. / 3, 1. / 3, 1. / 6};
 
-/* The velocities' part of A S + P at a stage; d: nonzeros of A and P there, du: derivatives of the efforts by the delay. */
+/* The velocities' part of A S + P at a stage; d: nonzeros of A and P there, du (2 N): derivatives of the efforts. */
 static void slopes(const struct fjr_arm* m, int b, const double* d, const double* du, block S, vector (*slope)[L]) {
   memset(slope, 0, 2 * N * sizeof *slope);
   for (int32_t e = m->forced_start[b]; e < m->forced_start[b + 1]; ++e) {
@@ -29,7 +29,7 @@ static void slopes(const struct fjr_arm* m, int b, const double* d, const double
 }
 
 /* One step of length h of block b of S (4 N, M), with what the state's step has left in m. */
-static void step_block(const struct fjr_arm* m, int b, double (*du)[N], double h, double* S) {
+static void step_block(const struct fjr_arm* m, int b, double (*du)[2 * N], double h, double* S) {
   block at = {0}, sum;
   vector slope[2 * N][L] = {0};
   for (int i = 0; i < 4 * N; ++i) memcpy(sum[i], S + i * M + b * 8 * L, sizeof sum[i]);
@@ -59,13 +59,13 @@ static void advance(const double* a, const double* b, double h, double* sum, int
  * the end. */
 static int step(const struct fjr_arm* m, double* x, double* S, const double* u, const double* du,
                 const double* parameters, double h, double* a) {
-  double effort[N], d_effort[4][N], at[4 * N], slope[4 * N] = {0}, sum[4 * N];
+  double effort[N], d_effort[4][2 * N], at[4 * N], slope[4 * N] = {0}, sum[4 * N];
   memcpy(sum, x, sizeof sum);
   m->arg[0] = at, m->arg[1] = effort, m->arg[2] = parameters, m->res[0] = slope + 2 * N;
   for (int stage = 0; stage < 4; ++stage) {
     advance(x, slope, h * node[stage], at, 4 * N);
     advance(u, u + N, 2 * node[stage] - 1, effort, N);
-    advance(du, du + N, 2 * node[stage] - 1, d_effort[stage], N);
+    advance(du, du + 2 * N, 2 * node[stage] - 1, d_effort[stage], 2 * N);
     m->res[1] = m->nonzeros + stage * m->count;
     if (m->f(m->arg, m->res, m->iw, m->w, 0)) return 1;
     memcpy(slope, at + 2 * N, 2 * N * sizeof *slope);
@@ -77,21 +77,40 @@ static int step(const struct fjr_arm* m, double* x, double* S, const double* u, 
   return 0;
 }
 
-static double held(const struct fjr_input* input, double k, int joint) {
+static double held(const struct fjr_input* input, const double* u, double k, int joint) {
   const double last = (double)(input->count - 1);
-  return input->u[(int64_t)(k < 0 ? 0 : k > last ? last : k) * N + joint];
+  return u[(int64_t)(k < 0 ? 0 : k > last ? last : k) * N + joint];
+}
+
+static double mean_delay(double lag) { return (sqrt(1 + 4 * lag * lag) - 1) / 2; }
+
+void fjr_behind(const double* u, const double* lag, int64_t count, double* out) {
+  for (int j = 0; j < N; ++j) {
+    const double m = mean_delay(lag[j]), a = m / (1 + m), slope = 1 / (1 + 2 * m) / (1 + m) / (1 + m);
+    double w = u[j], dw = 0;
+    for (int64_t k = j; k < count * N; k += N) {
+      dw = slope * (w - u[k]) + a * dw;
+      w = (1 - a) * u[k] + a * w;
+      out[k] = w, out[count * N + k] = dw;
+    }
+  }
 }
 
 /* The effort switches once at most in a part. The line has its mean and its first moment, so that velocities and
  * positions are exact where nothing else acts; unlike a sample of u it is continuous in the delay. */
 void fjr_line(const struct fjr_input* input, int64_t k, int64_t part, int64_t parts, double* u, double* du) {
   for (int j = 0; j < N; ++j) {
-    const double start = (double)(input->first + k) + (double)part / (double)parts - input->delay[j];
+    const double m = mean_delay(input->lag[j]), by_square = 1 / input->dt / input->dt, slope = by_square / (1 + 2 * m);
+    const double start = (double)(input->first + k) + (double)part / (double)parts - (input->delay[j] - m);
     const double index = floor(start), until = (index + 1 - start) * (double)parts, share = until < 1 ? until : 1;
-    const double before = held(input, index, j), jump = until > 1 ? 0 : held(input, index + 1, j) - before;
+    const double next = until > 1 ? index : index + 1, first = 3 * share * (1 - share);
+    const double before = held(input, input->u, index, j), jump = held(input, input->u, next, j) - before;
+    const double d_before = held(input, input->du, index, j), d_jump = held(input, input->du, next, j) - d_before;
     const double rate = jump * (double)parts / input->dt;
-    u[j] = before + (1 - share) * jump, u[N + j] = 3 * share * (1 - share) * jump;
-    du[j] = -rate, du[N + j] = 3 * (1 - 2 * share) * rate;
+    u[j] = before + (1 - share) * jump, u[N + j] = first * jump;
+    du[j] = -rate, du[2 * N + j] = 3 * (1 - 2 * share) * rate;
+    du[N + j] = by_square * (d_before + (1 - share) * d_jump) - slope * input->dt * du[j];
+    du[3 * N + j] = by_square * first * d_jump - slope * input->dt * du[2 * N + j];
   }
 }
 
@@ -110,7 +129,7 @@ int fjr_shoot(const struct fjr_arm* m, const struct fjr_input* input, const doub
   const int64_t finest = (int64_t)input->parts << HALVINGS;
   double a[2 * N] = {0};
   for (int64_t k = 0; k < samples; ++k) {
-    double *x = X + (k + 1) * 4 * N, *s = S + (k + 1) * 4 * N * M, u[2 * N], du[2 * N];
+    double *x = X + (k + 1) * 4 * N, *s = S + (k + 1) * 4 * N * M, u[2 * N], du[4 * N];
     memcpy(x, x - 4 * N, 4 * N * sizeof *x);
     memcpy(s, s - 4 * N * M, 4 * N * M * sizeof *s);
     for (int64_t at = 0, size; at < finest; at += size) {

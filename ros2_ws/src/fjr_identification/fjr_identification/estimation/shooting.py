@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ from fjr_core.numerics.jit import c_library_of
 from fjr_core.runtime.library import CFunction, WorkSpace
 
 from .elastic_arm import ElasticArm, packed
-from .parameters import SMOOTHING
+from .parameters import LAG, SMOOTHING
 
 VECTOR, LARGEST_BLOCK = 8, 4  # doubles in a vector of the C code, vectors in a row of a block of sensitivities
 
@@ -35,6 +35,7 @@ class HeldEffort:
 
     parts: steps of a sample period. They are halved where a velocity may cross zero, as far as the turn of friction
     needs and a velocity may be wrong: mobility (2n,) [1 / (kg m^2)] of links and motors, accuracy (2n,) [rad/s].
+    lagging: of the last call of `behind`.
     """
 
     u: Array
@@ -42,6 +43,18 @@ class HeldEffort:
     parts: int
     mobility: Array
     accuracy: Array
+    lagging: dict[bytes, Array] = field(default_factory=dict)
+
+    def behind(self, ffi: Any, lib: Any, lag: Array) -> Array:
+        """Return efforts behind lags (n,) in sample periods, and their derivatives by the squares, (2, k, n)."""
+        key = lag.tobytes()
+        if (found := self.lagging.get(key)) is None:
+            found = np.empty((2, *self.u.shape))
+            u, lags, out = (ffi.from_buffer("double[]", np.ascontiguousarray(each)) for each in (self.u, lag, found))
+            lib.fjr_behind(u, lags, len(self.u), out)
+            self.lagging.clear()
+            self.lagging[key] = found
+        return found
 
     def steps(self, p: Mapping[str, Array]) -> dict[str, Array] | None:
         """Return what shooting.h limits steps by, (2n,) each; None: friction is too steep. p: parameters by name.
@@ -62,14 +75,16 @@ class HeldEffort:
             harmless = self.accuracy / (IMPULSE * acceleration)
         return {"slow": SLOW * v_0, "rest": rest, "passage": PASSAGE * v_0, "harmless": harmless}
 
-    def struct(self, ffi: Any, first: int, p: Mapping[str, Array]) -> tuple[Any, ...] | None:
+    def struct(self, ffi: Any, lib: Any, first: int, p: Mapping[str, Array]) -> tuple[Any, ...] | None:
         """Return the structure of C, and what it refers to; None as `steps`."""
         steps = self.steps(p)
         if steps is None:
             return None
+        delay, lag = p["effort_delay"] / self.dt, p[LAG] / self.dt
+        u, du = self.behind(ffi, lib, lag)
         values: dict[str, Any] = {
             name: ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
-            for name, array in {"u": self.u, "delay": p["effort_delay"] / self.dt, **steps}.items()
+            for name, array in {"u": u, "du": du, "delay": delay, "lag": lag, **steps}.items()
         }
         values |= {"parts": self.parts, "count": len(self.u), "first": first, "dt": self.dt}
         return ffi.new("struct fjr_input *", values), values
@@ -77,9 +92,10 @@ class HeldEffort:
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """Integrate the arm over segments. delays: joint of each free effort delay. Raises CompilerError on the first use.
+    """Integrate the arm over segments. delays: joint j of each free effort delay, n + j of each free lag.
 
-    A column of the sensitivities (4n, columns) is an entry of the initial state, a free parameter or a delay.
+    A column of the sensitivities (4n, columns) is an entry of the initial state, a free parameter, a delay or a squared
+    lag. Raises CompilerError on the first use.
     """
 
     arm: ElasticArm
@@ -112,7 +128,7 @@ class Shooting:
         X, S = np.empty((samples + 1, 4 * n)), np.empty((samples + 1, 4 * n, self.padded))
         X[0], S[0] = x0, np.eye(4 * n, self.padded)
         ffi, lib = self.library
-        held = effort.struct(ffi, first, p)
+        held = effort.struct(ffi, lib, first, p)
         if held is None:
             return None
         arrays = [ffi.from_buffer("double[]", array) for array in (packed(self.arm, p), X, S)]
@@ -170,21 +186,20 @@ def _indices(shooting: Shooting) -> dict[str, Any]:
     n = shooting.arm.robot.n
     rows, columns = map(np.array, shooting.arm.pattern)
     first_effort = 4 * n + len(shooting.arm.free)
-    joints = np.where(columns < first_effort, -1, columns - first_effort)
-    delayed = {first_effort + joint: first_effort + k for k, joint in enumerate(shooting.delays)}
-    targets = np.array([column if column < first_effort else delayed.get(column, -1) for column in columns])
+    by_parameter = [(k, -1, k) for k in range(4 * n, first_effort)]
+    by_effort = [(first_effort + k, d, first_effort + d % n) for k, d in enumerate(shooting.delays)]
+    entries = [(k, d, e) for k, d, at in by_parameter + by_effort for e in np.flatnonzero(columns == at)]
+    targets, joints, forced = np.array(entries, dtype=int).reshape(-1, 3).T
     of_state = np.flatnonzero(columns < 4 * n)
     of_state = of_state[np.argsort(rows[of_state], kind="stable")]
-    forced = np.flatnonzero((columns >= 4 * n) & (targets >= 0))
-    forced = forced[np.argsort(targets[forced], kind="stable")]
     blocks = np.arange(0, shooting.padded + 1, VECTOR * shooting.vectors)
     return {
         "row_start": np.searchsorted(rows[of_state], np.arange(2 * n + 1)),
         "entry": of_state,
         "column": columns[of_state],
-        "forced_start": np.searchsorted(targets[forced], blocks),
+        "forced_start": np.searchsorted(targets, blocks),
         "forced_entry": forced,
         "forced_row": rows[forced],
-        "forced_column": targets[forced],
-        "forced_joint": joints[forced],
+        "forced_column": targets,
+        "forced_joint": joints,
     }

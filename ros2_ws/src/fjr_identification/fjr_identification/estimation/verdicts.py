@@ -54,14 +54,12 @@ LEAST_DRAWS = 24  # of all segments together
 CAUTION = 4.0  # factor on spurious information: noise is estimated from few draws, the prior's share to first order
 SHARP = 0.25
 """Standard deviation of an identified parameter: of its logarithm, or relative to its size or to its prior's width."""
-BLUNT = 0.6
-"""A parameter whose standard deviation exceeds this part of its prior's width is not identifiable."""
+BLUNT = 0.6  # of its prior's width; a parameter whose standard deviation exceeds it is not identifiable
 STILL = 2e-3  # rad; a joint that moves less stands still
 WORSE = 1.1  # root mean square residual of some signal, relative to that of the most likely parameters
 LESS_LIKELY = 2.0  # of -log L, half the 95 % quantile of chi^2
 CORRELATED = 0.9
-PRISMATIC = {"N m": "N", "rad": "m", "kg m^2": "kg"}
-"""What units of a revolute joint become in those of a prismatic one."""
+PRISMATIC = {"N m": "N", "rad": "m", "kg m^2": "kg"}  # what units of a revolute joint become
 WITHOUT_LINK = {
     **dict.fromkeys(
         ("joint_stiffness", HARDENING, "link_damping", "link_coulomb_friction", "link_static_friction"),
@@ -73,10 +71,10 @@ SHAPED = ("link_damping", "motor_damping", *COULOMB, *STATIC, *LOAD, SMOOTHING, 
 """Parameters that friction of another shape than the model's resembles at reversals."""
 OTHER_SHAPE = "friction has another shape, such as that of bristles, and acts like damping and skew at reversals"
 WIDER = 2.5
-"""Factor on standard deviations of a joint whose friction has another shape.
+"""Factor on standard deviations of a joint whose friction has another shape, or whose residuals remain coloured.
 
-No record shows this error: jumps at reversals make residuals white. It covers the errors of damping under LuGre's
-friction, of which 8 of 16 intervals held; other records are in docs/tables/identification.md.
+No record shows this error. It covers those of damping under LuGre's friction, of which 8 of 16 intervals held, and of
+K and B on a table that swings (up to 5.7 deviations); other records are in docs/tables/identification.md.
 """
 WITHOUT_MOTOR = {"offset": "without a motor position the offset shifts the motor alone; measure the motor"}
 
@@ -250,19 +248,21 @@ def estimates_at(
     doubt: str = "",
     step: Array | None = None,
     other_shape: Collection[int] = (),
+    unexplained: Collection[int] = (),
 ) -> Estimates:
     """Return the estimates at z (p,) from normal equations of segments or blocks and their spurious information (p, p).
 
     fixed: entries that are not identifiable. doubt: why no parameter is better than weakly identified; "": none. step
     (p,): by which z is away from the minimum, if it was not reached; it counts as an error. other_shape: joints whose
-    friction has another shape than the model's.
+    friction has another shape than the model's; unexplained: those of which the model lacks something else.
     """
     coordinates, width, joints = setup.coordinates, setup.coordinates.width, setup.records[0].joints
     (covariance, from_records), (of_all, _) = (posterior(parts, spurious, width, held) for held in (fixed, ()))
     partners = _partners(setup, of_all)
     away = np.zeros(len(z)) if step is None else np.minimum(np.abs(step), width)
     shaped = np.array([name not in OF_LINKS and j in other_shape for name, j in coordinates.free])
-    wider = np.where(shaped, WIDER, 1.0)
+    other = np.array([name not in OF_LINKS and j in unexplained for name, j in coordinates.free])
+    wider = np.where(shaped | other, WIDER, 1.0)
     covariance = covariance * np.outer(wider, wider) + np.diag(away**2)
     sd = np.where(np.isfinite(from_records), np.sqrt(np.diag(covariance)), width)
     mean = z.copy()
@@ -276,7 +276,7 @@ def estimates_at(
         if k in fixed:
             verdict, value, why = UNKNOWN, prior, ""
         else:
-            size = 1.0 if KINDS[name].coordinate == LOG else max(abs(value), SHARP * width[k])
+            size = 1.0 if KINDS[name].coordinate == LOG else max(abs(mean[k]), SHARP * width[k])
             verdict = IDENTIFIED if sd[k] <= SHARP * size and not why else WEAK
         why = why or reason(name, verdict, setup.records, -1 if name in PAYLOAD else j, partners.get(k, ""))
         joint, unit = "" if name in PAYLOAD else joints[j], KINDS[name].unit
