@@ -162,4 +162,5 @@ def _table(joints: tuple[str, ...], t: Array, signals: list[Array], arm: object)
     truth["friction_smoothing_velocity"] = np.full(len(joints), 0.01)  # rad/s
     steps = {name: STEP * np.round(values / STEP) for name, values in (("link", link), ("motor", motor))}
     values = {"effort": effort, **steps, "torque": torque + noise}
-    return MotionTable(joints, t, values, {**truth, "torque_skew": np.zeros(len(joints))})
+    none = dict.fromkeys(("torque_skew", "actuator_lag", "gear_ratio_error"), np.zeros(len(joints)))
+    return MotionTable(joints, t, values, {**truth, **none})

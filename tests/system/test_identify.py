@@ -130,7 +130,7 @@ def test_hold_out_that_rigid_joints_explain_better_is_reported(capsys: pytest.Ca
 def test_page_draws_fit_residuals_and_autocorrelation(folder: Path, browser: Browser) -> None:
     kinds = ("fit-0", "residual-q_l", "residual-q_m", "autocorrelation-q_l", "autocorrelation-q_m")
     browser.draws(folder / "identification.html", [f"record-0-{kind}" for kind in kinds])
-    assert browser.value("document.querySelectorAll('.interval i').length") == 10
+    assert browser.value("document.querySelectorAll('.interval i').length") == 12
 
 
 ARM = """/**:
@@ -168,6 +168,11 @@ def test_file_keeps_the_prior_and_the_guess_of_what_is_not_identifiable(tmp_path
     assert values["robot.motor_inertia"] == [0.03, 0.01]
     assert values["imperfections.motor_coulomb_friction"] == [0.3, 0.0]
     assert values["imperfections.command_delay"] == 5e-4
+    lag = Estimate("actuator_lag", "shoulder", "s", 2e-4, 1e-4, 3e-4, 0.0, IDENTIFIED)
+    lags = IdentifiedRobot(nominal, replace(made, estimates=(*ESTIMATES, lag)))
+    values = ros_yaml.values_for("fjr_plant", ros_yaml.parse(lags.file(tmp_path, ["a.csv"], "robot.yaml").text))
+    assert values["imperfections.actuator_lag"] == [2e-4, 0.0]
+    assert values["imperfections.command_delay"] == pytest.approx(3e-4)
     assert (
         "elbow: 40 N m/rad, not identifiable from these records, kept as given (it stands still; move it)" in file.text
     )

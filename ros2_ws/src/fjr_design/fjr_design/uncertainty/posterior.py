@@ -46,8 +46,7 @@ def natural(z: Array, coordinate: str) -> Array:
     """Return parameter values of their coordinates."""
     if coordinate == LOG:
         return np.exp(z)
-    clipped = z if coordinate == LINEAR else np.maximum(z, 0.0)
-    return np.sqrt(clipped) if coordinate == SQUARE else clipped
+    return z if coordinate == LINEAR else np.maximum(z, 0.0) ** (0.5 if coordinate == SQUARE else 1.0)
 
 
 @dataclass(frozen=True)
@@ -57,10 +56,10 @@ class Estimate:
     name: joint_stiffness [N m/rad], motor_inertia [kg m^2], link_damping, motor_damping [N m s/rad],
     link_coulomb_friction, motor_coulomb_friction, link_static_friction, motor_static_friction [N m], stribeck_velocity
     [rad/s], link_load_friction, motor_load_friction [1], offset [rad] (of q_m - q_l at zero spring torque), link_skew,
-    torque_skew, effort_delay, actuator_lag [s], gear_ratio_error [1] (of q_m), payload_mass [kg], payload_position_x,
-    _y, _z [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: its joint, or "" for the whole arm. An UNKNOWN
-    parameter keeps its prior; reason says which motion would reveal it. deflections [rad]: range a stiffness was seen
-    in. at_least: its bound if UNKNOWN, 0: none.
+    torque_skew, effort_delay, actuator_lag [s], gear_ratio_error [1], payload_mass [kg], payload_position_x, _y, _z
+    [m], position_torque_sin1, _cos1, _sin2, _cos2 [N m]. joint: "" for the whole arm. An UNKNOWN parameter keeps its
+    prior; reason: what would reveal it. deflections [rad]: range it was seen in. at_least: its bound if UNKNOWN, 0:
+    none.
     """
 
     name: str

@@ -99,7 +99,7 @@ class FilteredEquations:
         columns[(HARDENING, j)] = -(zeta**3) / tangent
         columns[("offset", j)] = np.ones(len(q))
         columns[("link_skew", j)] -= np.gradient(q, m.dt)
-        columns[(RATIO, j)] = q_m
+        columns[(RATIO, j)] = q_m / (1 + p[RATIO][j])
         errors = q_m - q - p["offset"][j] - zeta
         return self._side(record, q_m - q, errors, columns, tau, np.ones(len(q), dtype=bool))
 
