@@ -2,6 +2,7 @@
 """False alarms and delay of the contact alarm, beside a momentum observer with fixed thresholds.
 
     python -m bench.contact_alarm --scenario arm7 --hours 1 --seed 1 FOLDER     simulate, a file an hour
+    python -m bench.contact_alarm --bits 14 --hours 1 FOLDER    the same with encoders of 14 bits; not in the tables
     python -m bench.contact_alarm FOLDER                        write the tables of docs/tables/contact.md
 
 Every minute a robot is drawn that differs from the model by the stated errors, and a pose and sines about it. The links
@@ -61,9 +62,10 @@ class Minute(NamedTuple):
 
 
 class Study:
-    """The alarm of a scenario, run on drawn robots."""
+    """The alarm of a scenario, run on drawn robots; bits: of the encoders per turn, 0: exact ones."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, bits: int = 0) -> None:
+        self.step = 2 * np.pi / 2**bits if bits else 0.0
         scenario: Scenario = library.as_run(library.find(name), {})[1]
         self.robot, self.n = scenario.robot, scenario.robot.n
         self.observer = contact_observer(scenario.controller_values, self.robot)
@@ -136,6 +138,7 @@ class Watch:
 
     def __init__(self, study: Study) -> None:
         ffi, n = study.library.ffi, study.n
+        self._step = study.step
         self._ffi, self._watch = ffi, study.library.lib.fjr_watch_torque
         self._held = TorqueObserverStruct(ffi, study.observer)
         self._o, self._c = self._held.pointer, ffi.new("struct fjr_contact*")
@@ -145,6 +148,8 @@ class Watch:
     def along(self, stamps: NDArray[np.int64], position: Array, velocity: Array) -> tuple[Array, NDArray[np.int32]]:
         """Return the estimates (k, n) [N m] at k states, and whether there is contact (k + 1,), first before them."""
         k, width = position.shape
+        if self._step:
+            position = np.round(position / self._step) * self._step
         found, acting = np.empty((k, width // 2)), np.full(k + 1, self._c.acting, dtype=np.int32)
         positions, velocities = (self._ffi.from_buffer("double[]", values) for values in (position, velocity))
         for i, stamp in enumerate(stamps.tolist()):
@@ -163,18 +168,20 @@ class Watch:
         return threshold, int(_first(acting[1:, None] > 0)), found
 
 
-def simulate(folder: Path, scenario: str, hours: int, seed: int) -> None:
+def simulate(folder: Path, scenario: str, hours: int, seed: int, bits: int = 0) -> None:
     """Simulate the hours of a scenario that the folder lacks of a seed."""
-    study = Study(scenario)
+    study, name = Study(scenario, bits), f"{bits}bit-{scenario}" if bits else scenario
     folder.mkdir(parents=True, exist_ok=True)
     for hour in range(hours):
-        file = folder / f"{scenario}-{seed}-{hour}.npz"
+        file = folder / f"{name}-{seed}-{hour}.npz"
         if file.exists():
             continue
         minutes = [study.minute(np.random.default_rng([seed, hour, k])) for k in range(60)]
         columns: dict[str, Any] = dict(zip(Minute._fields, map(np.array, zip(*minutes, strict=True)), strict=True))
         np.savez_compressed(file, **columns)
-        print(f"{file.name}: {sum(each.alarms for each in minutes)} alarms", flush=True)
+        threshold, delay = (np.median([each[-1] for each in columns[name]], axis=0) for name in ("threshold", "delay"))
+        said = f"thresholds {' '.join(_row(threshold))} N m, 20 N seen after {_ms(delay)} ms"
+        print(f"{file.name}: {sum(columns['alarms'])} alarms, {said}", flush=True)
 
 
 def tables(folder: Path) -> Iterator[str]:
@@ -260,9 +267,10 @@ def main() -> None:
     parser.add_argument("--scenario", choices=SCENARIOS, default=SCENARIO)
     parser.add_argument("--hours", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--bits", type=int, default=0)
     given = parser.parse_args()
     if given.hours:
-        simulate(given.folder, given.scenario, given.hours, given.seed)
+        simulate(given.folder, given.scenario, given.hours, given.seed, given.bits)
     elif not any(given.folder.glob(f"{SCENARIO}-*.npz")):
         parser.error(f"{given.folder} has no hours of {SCENARIO}; expected some, by --hours")
     else:

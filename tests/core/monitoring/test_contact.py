@@ -56,7 +56,7 @@ class Watch:
         self.held = TorqueObserverStruct(self.lib.ffi, ContactObserver(robot(np.zeros(10)), L, ERRORS))
         self.o, self.contact = self.held.pointer, self.lib.ffi.new("struct fjr_contact*")
         self.o.period = period
-        for name, value in given.items():
+        for name, value in {"step": [0.0] * 4, **given}.items():  # exact encoders
             setattr(self.o, name, value)
 
     def see(self, position: Array, velocity: Array, first: int = 0, t: Array = T) -> None:
@@ -143,6 +143,49 @@ def test_a_late_state_is_no_contact() -> None:
     watch.see(*motion(np.zeros(10), t=t), t=t)
     assert np.sum((watch.e / noise) ** 2) > 3 * watch.o.limit
     assert not watch.contact.acting
+
+
+STEPS = 2 * np.pi / 2.0 ** np.array([14, 13, 15, 12])  # rad, of each encoder
+
+
+@pytest.mark.parametrize("number", [np.float64, np.float32])
+def test_rounding_of_the_encoders_is_noise_of_the_springs_by_the_steps_that_the_positions_show(number: type) -> None:
+    watch, (q, dq) = Watch(step=[np.inf] * 4), motion(np.zeros(10))
+    for k in range(100):
+        watch.o.P[k] = 0.0  # the model is known
+    encoders = (np.round(each / STEPS) * STEPS for each in (np.tile(q[0], (50, 1)), q))
+    at_rest, moving = (each.astype(number).astype(float) for each in encoders)
+    watch.see(at_rest, 0 * dq[:50])
+    assert np.isinf(list(watch.o.compared[2:4])).all()  # no step is known, and there is no contact
+    watch.see(moving, dq, 50, 0.05 + np.append(T[:50] - 0.05, T))
+    np.testing.assert_allclose(list(watch.o.step), STEPS, rtol=0, atol=5e-7)
+    rounding = K**2 * (STEPS[:2] ** 2 + STEPS[2:] ** 2) / 12
+    integration = np.array(list(watch.o.integration[0:2]))
+    np.testing.assert_allclose(watch.S, np.diag(NOISE**2 + integration**2 + rounding), rtol=5e-3)
+
+
+@pytest.mark.parametrize("bits", [8, 12, 14, 16, 20])
+def test_encoders_of_any_step_are_no_contact_and_a_large_push_is(bits: int) -> None:
+    a, t = 2 * np.pi / 2**bits, np.arange(1000) * 1e-3
+    for seed in range(3):
+        rng, watch = np.random.default_rng(seed), Watch(step=[np.inf] * 4)
+        q, dq = motion(rng.normal(size=10), t=t)
+        watch.see(np.round(q / a) * a, dq, t=t)
+        assert watch.contact.joints == 0, seed
+        threshold = np.array(list(watch.o.compared[2:4]))
+        q[:100, 2:] -= 1.5 * threshold / K + 2 * a
+        watch.see(np.round(q[:100] / a) * a, dq[:100], t=1.0 + t)
+        assert watch.contact.acting, seed
+
+
+def test_a_state_that_repeats_under_a_new_stamp_changes_nothing() -> None:
+    """It is as old as the last one: its motion would be missing, for as long as the robot does not stand still."""
+    watch, clean, (q, dq) = Watch(), Watch(), motion(np.zeros(10))
+    clean.see(q, dq)
+    again = np.repeat(np.arange(len(T)), 2)
+    watch.see(q[again], dq[again], t=T[again] + np.tile([0.0, 5e-4], len(T)))
+    np.testing.assert_array_equal(watch.r, clean.r)
+    np.testing.assert_array_equal(watch.S, clean.S)
 
 
 @pytest.mark.parametrize("jump", [-50.0, 0.15, 50.0])

@@ -100,9 +100,8 @@ class ExternalTorqueObserver:
         kept = self.start if before is None else before
         if not len(t):
             return np.zeros((0, len(kept)))
-        bandwidth, dt = np.full((1, len(t)), self.bandwidth), np.diff(t, prepend=0.0)[None]
-        found = self.function.mapaccum("along", len(t))(kept, position.T, velocity.T, bandwidth, dt)
-        return np.asarray(found.full().T)
+        update, dt = self.function.mapaccum("along", len(t)), np.diff(t, prepend=0.0)[None]
+        return np.asarray(update(kept, position.T, velocity.T, self.bandwidth * np.ones_like(dt), dt).full().T)
 
 
 def _finite(values: ca.MX) -> ca.MX:
@@ -182,8 +181,8 @@ class ContactObserver(ExternalTorqueObserver):
         e' S^-1 e > limit        e = r + Z d^,   S = Z P Z' + N
 
     The mean d^ and the covariance P start from 0 and 1, and a Kalman filter improves them while there is no contact
-    (runtime/contact.c). So the threshold of a joint, sqrt(limit S_ii), is large where the motion shows an error that is
-    not known yet, and shrinks to that of the noise. A. De Luca, R. Mattone, ICRA 2005, compare r with constants.
+    (runtime/contact.c); N has the rounding of encoders, too. So the threshold of a joint, sqrt(limit S_ii), is large
+    where the motion shows an error that is not known yet, else that of noise. De Luca and Mattone have constant ones.
 
     The limit is the quantile of chi^2 at which a day has at most 0.355 wrong samples on average: then at most one false
     alarm in 24 h has 95 % probability. A sum over all samples needs no independence of theirs.
@@ -234,13 +233,14 @@ class TorqueObserverStruct:
 
     def __init__(self, ffi: Any, observer: ContactObserver) -> None:
         self._held, self._work = CFunction(ffi, observer.function), WorkSpace(ffi, [observer.function])
-        errors, size = len(observer.errors.deviations), observer.function.nnz_in(0)
+        errors, size, robot = len(observer.errors.deviations), observer.function.nnz_in(0), observer.robot
         period, noise = LEARNING_PERIOD / observer.bandwidth, np.asarray(observer.errors.torque_noise)
         start = np.full(size, np.nan)
         arrays = {"kept": start, "next": start, "d": np.zeros(errors), "P": np.eye(errors), "W": np.zeros(errors)}
         self.arrays = {name: ffi.new("double[]", each.ravel().tolist()) for name, each in arrays.items()}
         numbers = {"bandwidth": observer.bandwidth, "errors": errors, "limit": observer.limit}
         timing = {"period": round(period * 1e9), "stay": float(np.exp(-period / DRIFT))}
-        given = {"update": self._held.pointer, "noise": (noise**2).tolist(), **numbers, **timing, **self.arrays}
-        self.pointer = ffi.new("struct fjr_torque_observer *", given)
+        encoders = {"K": robot.K.ravel().tolist(), "step": [np.inf] * 2 * robot.n, "seen": [[np.nan] * 2 * robot.n] * 3}
+        given = {"update": self._held.pointer, "noise": (noise**2).tolist(), **numbers, **timing, **encoders}
+        self.pointer = ffi.new("struct fjr_torque_observer *", given | self.arrays)
         self._work.lend(self.pointer)

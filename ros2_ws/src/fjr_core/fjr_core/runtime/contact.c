@@ -4,11 +4,13 @@
  *   e = r + Z d,  S = Z P Z' + N        contact: e' S^-1 e > limit, until it stays below a quarter of that for QUIET
  *
  * N contains the error of the trapezoidal rule that r is computed by, so that a late state is no contact: dt^2 / 12 |f''|,
- * |f''| at most L times the largest |f'| of the last 1 / L, as for motions up to the bandwidth L.
+ * |f''| at most L times the largest |f'| of the last 1 / L, as for motions up to the bandwidth L. It also contains the
+ * rounding of encoders with the step a, which the springs turn into torque: K^2 a^2 / 12 for each, as if it stayed.
  */
 #define QUIET 200000000   /* ns; without torque until a contact has ended */
 #define SIGNIFICANT 4.0   /* standard deviations from which a joint of a contact is named */
 #define NEGLIGIBLE 0.05   /* of the largest torque, up to which it is not */
+#define FINEST 1e-6       /* rad, m; a smaller change of an encoder shows no step, but rounding of its numbers */
 
 /* Add the error of the trapezoidal rule from `kept` to `next`, dt [s] later; r forgets it. Where r restarts from 0, after
  * a jump of the stamps, a gap or values that are not finite, it has none. */
@@ -23,9 +25,25 @@ static void add_integration_error(struct fjr_torque_observer* o, double dt) {
   }
 }
 
+/* Improve the steps of the encoders: first and second differences of their positions are multiples of the step. */
+static void find_steps(struct fjr_torque_observer* o, const double* position) {
+  for (int i = 0; i < 2 * N; ++i) {
+    const double change = position[i] - o->seen[0][i], bend = change - (o->seen[0][i] - o->seen[1][i]);
+    const double differences[2] = {fabs(change), fabs(bend)};
+    for (int k = 0; k < 2; ++k)
+      if (differences[k] > FINEST) o->step[i] = fmin(o->step[i], differences[k]);
+    if (change != 0 && fabs(change) <= FINEST) o->step[i] = fmin(o->step[i], FINEST);
+  }
+}
+
 /* Return the variance of r of joint i in an exact model [(N m)^2]. */
 static double variance(const struct fjr_torque_observer* o, int i) {
-  return o->noise[i] + o->integration[i] * o->integration[i];
+  double rounding = 0;
+  for (int k = 0; k < 2 * N; ++k) {
+    const double K = o->K[i * N + k % N], a = o->step[k];
+    rounding += K == 0 ? 0 : K * K * a * a / 12;
+  }
+  return o->noise[i] + o->integration[i] * o->integration[i] + rounding;
 }
 
 /* Write S, e and the thresholds; Z (N, errors) by columns. */

@@ -343,13 +343,15 @@ struct fjr_certificate {
 /* kept, next (3, 1 + errors, FJR_N): momenta of the links, their rates and the estimated torques at the last sample, each
  * with its derivatives by the stated errors of the model; NaN: none. d (errors), P (errors, errors): mean and covariance
  * of the errors. compared: torques that these do not explain, and thresholds; S: covariance of the former;
- * integration: error of r by the time between samples [N m]; rate: largest |f'| within 1 / bandwidth [N m/s]. See contact.c. */
+ * integration: error of r by the time between samples [N m]; rate: largest |f'| within 1 / bandwidth [N m/s]; step: of
+ * the encoders, infinite before it is known [rad]; seen: the last two positions, and the last velocities. See contact.c. */
 struct fjr_torque_observer {
   fjr_function update; /* (kept, position, velocity, bandwidth, dt) -> kept */
   double bandwidth;    /* 1/s */
   int64_t stamp;
   int32_t errors;
   double limit, stay, noise[FJR_N]; /* noise: variances [(N m)^2] */
+  double K[FJR_N * FJR_N], step[2 * FJR_N], seen[3][2 * FJR_N]; /* K by rows */
   int64_t period, learned;          /* between two updates of d and P; stamp of the last one */
   double *kept, *next, *d, *P, *W;  /* W (errors): work space */
   double compared[2 * FJR_N], S[FJR_N * FJR_N], integration[FJR_N], rate[FJR_N];
