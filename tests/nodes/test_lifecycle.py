@@ -187,6 +187,21 @@ def test_gains_change_between_two_states_and_invalid_ones_change_nothing(ros: Ro
     assert [(event.level, event.hardware_id, bool(event.message)) for event in events] == [(b"\x00", "", True)] * 3
 
 
+def test_an_active_controller_refuses_an_effort_limit_below_the_weight_of_links_or_reference(
+    ros: Ros, manager: Manager
+) -> None:
+    ros.controller(reference__offset=[1.0])
+    for t, q_l, weight in ((0.0, 0.5, 0.8 * np.sin(1.0)), (0.001, 1.5, 0.8 * np.sin(1.5))):  # of Table 1
+        manager.ask(stamped(t, [q_l, q_l], [0.0, 0.0]))
+        done, reason = manager.set(limits__effort=[0.99 * weight])
+        assert not done
+        said = f"'limits.effort' of joint1 is {0.99 * weight:g} N m; expected at least its weight, {weight:.3g} N m"
+        assert said in reason
+    assert manager.set(limits__effort=[1.01 * weight]) == (True, "")
+    assert manager.change("deactivate")
+    assert manager.set(limits__effort=[0.1]) == (True, "")
+
+
 def test_a_destroyed_node_leaves_the_graph_without_the_garbage_collector(ros: Ros) -> None:
     looking = Listener(ros)
     collecting = gc.isenabled()

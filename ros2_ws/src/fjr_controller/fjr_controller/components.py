@@ -22,6 +22,7 @@ from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot import robot_name
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.runtime.control_step import ControlStep
+from fjr_core.runtime.safety_settings import Settings
 from fjr_monitor.diagnosis.online_diagnosis import EffortLimits
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_msgs_py.messages.trajectories import follow_messages
@@ -105,6 +106,7 @@ class Control:
         settings = safety(values, robot)
         motion_limits(settings, robot)
         build_reference(values, robot.n)
+        self._check_weight(settings)
         if "gains" in groups:
             if not isinstance(self._law, TrackingLaw):
                 raise ParameterError(f"parameters 'gains.*' are of the law v_dpbc; the law is {values['law.type']}")
@@ -119,12 +121,22 @@ class Control:
             self._certificate.use(self._law, self._effort_limits)
         self.reports.publish_events()
 
+    def _check_weight(self, settings: Settings) -> None:
+        """Raise ParameterError if an active controller gets a smaller limit of the effort below the weight it holds."""
+        stamp = self.step.last_stamp if self._command_loop.active else None
+        jets = None if stamp is None else self.step.jets_at(stamp)
+        for q in () if jets is None else (self.step.measured[: self._robot.n], jets[0]):
+            weight = np.abs(np.linalg.solve(self._robot.B_m, self._robot.grad_P_l(q)))
+            for i in np.flatnonzero(settings.effort < np.minimum(weight, self._settings.effort)):
+                unit, limit = settings.units[i].effort, np.asarray(settings.effort)[i]
+                found = f"'limits.effort' of {settings.joints[i]} is {limit:g} {unit}; expected at least its weight"
+                raise ParameterError(f"parameter {found}, {weight[i]:.3g} {unit}, while the controller is active")
+
     def _read_motion(self, node: Node) -> None:
         """Read the file of reference.file.*, so that a change of reference.type need not; log what it asks for."""
         forget_files()
-        if self._values[FILE_PATH.name]:
-            for sentence in file_warnings(self._values, self._robot):
-                node.get_logger().warning(sentence)
+        for sentence in file_warnings(self._values, self._robot) if self._values[FILE_PATH.name] else ():
+            node.get_logger().warning(sentence)
 
     def _built_in(self) -> Reference:
         """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""
@@ -150,9 +162,9 @@ class Control:
             node.get_logger().info(f"the law {self._values['law.type']} has no certificate: none is published")
             return None
         robust, joint_axes = build_robust(self._values, self._robot.n), JointTolerances.of(self._values, self._robot)
-        loop, library = self._command_loop, self.step.library
-        certificate = LiveCertificate(node, loop.program, self._law, library, self._effort_limits, robust, joint_axes)
-        loop.certify(certificate)
+        given = self._law, self.step.library, self._effort_limits, robust, joint_axes
+        certificate = LiveCertificate(node, self._command_loop.program, *given)
+        self._command_loop.certify(certificate)
         self.reports.add_status(certificate.status)
         return certificate
 
