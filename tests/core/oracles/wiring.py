@@ -250,6 +250,16 @@ def delayed(values: Array, before: Array | float) -> Array:
     return np.stack([given[LAGS - late : len(given) - late] for late in range(LAGS + 1)])
 
 
+def filtered(values: Array, before: float) -> Array:
+    """Return values (m,) through low-passes (LAGS, m) with time constants of 1, 4, 9, .. intervals; before: first."""
+    found = np.zeros((LAGS, len(values)))
+    age = np.subtract.outer(np.arange(len(values)), np.arange(len(values)))
+    for row, constant in zip(found, np.arange(1, LAGS + 1) ** 2, strict=True):
+        left = constant / (1 + constant)
+        row[:] = before * left ** np.arange(1, len(values) + 1) + np.tril(left**age) @ values * (1 - left)
+    return found
+
+
 def _noise(values: Array) -> Array:
     """Return the variance of the noise of smooth signals (m, k), from their differences of fourth order."""
     return np.asarray(DOUBT * (np.diff(values, 4, axis=0) ** 2).mean(axis=0) / 70)
@@ -265,6 +275,7 @@ WINDOW, FEWEST = 21, 9
 FULL = WINDOW - 2
 EVIDENCE = 2 * math.log(1e5)
 CLEARER = 2 * math.log(1e2)
+FILTERED = 2 * math.log(1e6)
 FAILS = 1.25
 FITS, FOLLOWS = 1.6, 3.0
 CLOSER = 2.0
@@ -369,10 +380,13 @@ def _wrong_velocity(rows: Rows, window: Window, failing: Flags, full: bool) -> W
         left = np.where(coarse[first : first + n], np.inf, distances(rows.root[row], rows.y[row] - slopes))
         k = int(np.argmin(left))
         clear = full or bool((np.delete(left, k) > left[k] + CLEARER).all())
-        lagging = delayed(means.slope[:, row], means.dq[0, row]) @ Q
-        late = rows.student(distances(rows.root[row], rows.y[row] - lagging))
+        own = means.slope[:, row], means.dq[0, row]
+        late, low_passed = (
+            rows.student(distances(rows.root[row], rows.y[row] - x @ Q)) for x in (delayed(*own), filtered(*own))
+        )
         noise = rows.student(distances(rows.root[row : row + 1], rows.y[row : row + 1]))[0]  # velocity and slopes
-        evidence = min(late[0], late[1:].min() + CLEARER, noise + CLEARER) - float(rows.student(left[k]))
+        others = late[0], late[1:].min() + CLEARER, low_passed.min() + FILTERED, noise + CLEARER
+        evidence = min(others) - float(rows.student(left[k]))
         if clear and left[k] < FOLLOWS * MOTION and evidence > EVIDENCE:
             kind, joints = ("velocity sign", (j,)) if k == j else ("velocity of another joint", (j, k))
             return WiringFault(kind, joints, side)

@@ -20,6 +20,7 @@
 
 #define EVIDENCE 23.025850929940457 /* 2 log 1e5: a false alarm has probability 1e-5 (Wald) */
 #define CLEARER 9.210340371976184   /* 2 log 1e2: against another fault before FULL, and for a velocity that is late */
+#define FILTERED 27.63102111592855  /* 2 log 1e6: .. and for one through a low-pass */
 #define FAILS 1.25    /* least misfit per component of a suspected row; its mean is at most 1 if it is right */
 #define FITS 1.6      /* largest misfit per component of a torque once the fault is undone .. */
 #define FOLLOWS 3.0   /* .. and of a velocity */
@@ -55,10 +56,13 @@ static struct fjr_wiring_fault wrong_velocity(const struct fjr_comparison* c, in
     if (left[other] < left[k]) k = other;
   }
   for (int other = 0; other < N; ++other) clear &= other == k || left[other] > left[k] + CLEARER;
-  for (int lag = 1; lag <= LAGS; ++lag) { /* such as a filter's: 100 times rarer */
+  for (int lag = 1; lag <= LAGS; ++lag) { /* such as of a driver's buffer, or its low-pass, which fits much slow motion */
     delayed(late, c->slope[i], c->intervals, lag, c->dq[i][0]);
     slow_motion(c, late, slope);
     own = fmin(own, student(s, distance(s->S, m, s->y, 1, slope)) + CLEARER);
+    filtered(late, c->slope[i], c->intervals, lag * lag, c->dq[i][0]);
+    slow_motion(c, late, slope);
+    own = fmin(own, student(s, distance(s->S, m, s->y, 1, slope)) + FILTERED);
   }
   if (!(c->full || clear) || !(left[k] < FOLLOWS * m)) return fault;
   if (!(own - student(s, left[k]) > EVIDENCE)) return fault;

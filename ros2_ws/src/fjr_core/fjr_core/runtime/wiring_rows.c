@@ -102,6 +102,11 @@ static void delayed(double* to, const double* x, int m, int late, double before)
   for (int k = 0; k < m; ++k) to[k] = k < late ? before : x[k - late];
 }
 
+/* x through a low-pass of first order with a time constant in intervals; `before` it rests at another value. */
+static void filtered(double* to, const double* x, int m, double constant, double before) {
+  for (int k = 0; k < m; ++k) to[k] = before += (x[k] - before) / (1 + constant);
+}
+
 /* ---- Signals ---------------------------------------------------------------------------------------------------- */
 
 /* Variance of the noise of a smooth signal, from its differences of fourth order. */
