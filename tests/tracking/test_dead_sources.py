@@ -16,7 +16,7 @@ from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import State
 from fjr_core.runtime.library import constant
-from tracking.tracked import LAW, MS, SECOND, TWO, Loop, bare_sample, sample, settings, tracker_at
+from tracking.tracked import LAW, MS, SECOND, STILL, TWO, Loop, bare_sample, sample, settings, tracker_at
 
 UNSEEN, UNCHANGED, COUNTED = constant("UNSEEN"), int(constant("UNCHANGED")), constant("COUNTED")
 TIMING, LEAST = constant("TIMING"), constant("LEAST")
@@ -33,7 +33,7 @@ def healthy(tracker: ControlStep, stamp: int, *parts: Any) -> bool:
 
 
 def two(simulated: bool = False, **given: Any) -> ControlStep:
-    return ControlStep(TWO, Hold([0.0, 0.0]), settings(2, **given), simulated=simulated)
+    return ControlStep(TWO, Hold([0.0, 0.0]), settings(2, **STILL, **given), simulated=simulated)
 
 
 @pytest.mark.parametrize("stop", ["zero", "gravity_hold"])
@@ -106,12 +106,66 @@ def test_no_healthy_encoder_is_frozen_or_jumps(
 
 
 @pytest.mark.parametrize("simulated", [False, True])
-def test_an_arm_at_rest_or_held_by_brakes_is_answered_without_end(simulated: bool) -> None:
+@pytest.mark.parametrize(("reference", "given"), [(Hold([0.0]), {}), (fjr.Sine(0.3, 1.0), STILL)])
+def test_an_arm_at_rest_or_held_by_brakes_is_answered_without_end(
+    reference: fjr.Reference, given: dict[str, Any], simulated: bool
+) -> None:
     """Exact zeros in a simulation without noise; a small offset of the velocity, for minutes and after jumps."""
     for offset in (0.0, 0.99 * UNSEEN / COUNTED):
-        tracker = ControlStep(LAW, fjr.Sine(0.3, 1.0), settings(), simulated=simulated)
+        tracker = ControlStep(LAW, reference, settings(**given), simulated=simulated)
         for k in range(1000):
             assert healthy(tracker, FIRST + k * 200 * MS, 0.0, 0.0, offset)
+
+
+class Measured(Loop):
+    """A loop from rest at q with encoders of so many bits; the driver repeats the first values for `frozen` states."""
+
+    def __init__(self, law: fjr.TrackingLaw, q: Any, bits: int, frozen: int, **given: Any) -> None:
+        robot = law.robot
+        x0 = robot.state(q, q + np.linalg.solve(robot.K, robot.grad_P_l(q)), np.zeros(robot.n), np.zeros(robot.n))
+        super().__init__(law, Hold(q), settings(robot.n, **given), x0)
+        self.bits, self.frozen, self._first = bits, frozen, super().sample()
+
+    def sample(self) -> Any:
+        state = super().sample() if self.frozen <= 0 else sample(self.now, *list(vars(self._first).values())[1:])
+        self.frozen -= 1
+        step = 2 * np.pi / 2.0**self.bits
+        q_l, q_m = (step * np.round(each / step) for each in (state.q_l, state.q_m))
+        return sample(self.now, q_l, q_m, *(0.01 * np.round(each / 0.01) for each in (state.dq_l, state.dq_m)))
+
+
+@pytest.mark.parametrize("bits", [10, 14, 40])
+@pytest.mark.parametrize(("law", "q"), [(LAW, np.array([0.5])), (TWO, np.array([0.3, 0.2]))], ids=["paper", "two"])
+def test_a_driver_that_freezes_at_rest_stops_the_arm_before_it_moves_faster_than_its_reference(
+    law: fjr.TrackingLaw, q: Any, bits: int
+) -> None:
+    """By the tracking error of 0.25 rad the link of the paper's joint would have 54 rad/s."""
+    loop = Measured(law, q, bits, frozen=10_000)
+    loop.run(0.1)
+    loop.tracker.follow(fjr.Sine(np.full(law.robot.n, 0.6), np.full(law.robot.n, 2.0), offset=q))
+    while loop.tracker.state is not State.STOPPED and loop.now < 3 * SECOND:
+        loop.step()
+    assert np.abs(loop.robot.velocities(loop.x)[0]).max() < 2.0
+    assert loop.tracker.reason.startswith("stopped: no motion of ")
+    assert loop.tracker.reason.endswith(" s (driver, brake or drive?)")
+    for _ in range(2):
+        assert (loop.step().u == loop.tracker.stop_effort()).all()
+        loop.tracker.resume()
+        loop.run(1.0)
+        assert loop.tracker.state is State.STOPPED, "the driver is still frozen"
+
+
+@pytest.mark.parametrize("bits", [9, 12, 14, 40])
+@pytest.mark.parametrize("speed", [1e-3, 0.05, 2.0])
+@pytest.mark.parametrize(("law", "q"), [(LAW, np.array([0.5])), (TWO, np.array([0.3, 0.2]))], ids=["paper", "two"])
+def test_coarse_encoders_of_an_arm_that_begins_to_move_are_not_frozen(
+    law: fjr.TrackingLaw, q: Any, speed: float, bits: int
+) -> None:
+    loop = Measured(law, q, bits, frozen=0)
+    loop.run(0.1)
+    loop.tracker.follow(fjr.Sine(np.full(law.robot.n, 0.5), np.full(law.robot.n, speed), offset=q))
+    loop.run(1.5)
+    assert not loop.tracker.reason
 
 
 def test_an_arm_that_rests_in_its_equilibrium_and_then_moves_is_never_frozen() -> None:
@@ -137,7 +191,7 @@ def test_a_simulation_that_starts_again_with_the_same_values_is_answered_at_once
 
 def test_a_tracking_error_of_a_joint_whose_values_do_not_change_says_so() -> None:
     """A driver that froze at rest, a closed brake or a drive that is off: the reference moves, the joint does not."""
-    tracker = ControlStep(LAW, fjr.Sine(0.3, 1.0), settings(tracking_error=0.1))
+    tracker = ControlStep(LAW, fjr.Sine(0.3, 1.0), settings(tracking_error=0.1, **STILL))
     for k in range(600):
         healthy(tracker, FIRST + k * MS, 0.0, 0.0)
     assert "; its values have not changed for 0.34 s (driver, brake or drive?)" in tracker.reason

@@ -9,7 +9,7 @@ import pytest
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import NEVER, State
 from fjr_core.runtime.library import constant
-from tracking.tracked import LAW, MS, SECOND, SINE, sample, settings, tracker_at
+from tracking.tracked import LAW, MS, SECOND, SINE, STILL, sample, settings, tracker_at
 
 
 def test_older_sample_has_no_command_and_a_repeated_one_the_same_command() -> None:
@@ -62,7 +62,7 @@ def test_jumps_that_do_not_confirm_each_other_are_ignored_until_a_silence() -> N
 
 
 def test_jump_is_confirmed_at_once_in_simulated_time() -> None:
-    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
+    tracker = ControlStep(LAW, SINE, settings(**STILL), simulated=True)
     tracker.command(sample(20 * SECOND, 0.5, 0.5), 0)
     assert tracker.command(sample(30 * SECOND, 0.5, 0.5), MS) is not None
     assert tracker.command(sample(0, 0.5, 0.5), 2 * MS).restarted
@@ -70,7 +70,7 @@ def test_jump_is_confirmed_at_once_in_simulated_time() -> None:
 
 
 def test_in_simulated_time_a_pause_is_no_silence_and_a_short_jump_back_is_a_restart() -> None:
-    tracker = ControlStep(LAW, SINE, settings(), simulated=True)
+    tracker = ControlStep(LAW, SINE, settings(**STILL), simulated=True)
     for k in range(3):
         assert tracker.command(sample(k * MS, 0.5, 0.5), 10 * k * SECOND) is not None
     assert not tracker.counters["recoveries"]
@@ -87,7 +87,7 @@ US = 1000
 
 def running(seconds: float = 0.2, period: int = MS, **given: object) -> ControlStep:
     """Return a tracker that answered samples until `seconds` after SECOND; its clocks differ by LATENCY."""
-    tracker = ControlStep(LAW, SINE, settings(**given))
+    tracker = ControlStep(LAW, SINE, settings(**STILL, **given))
     for stamp in range(SECOND, SECOND + round(seconds * 1e9) + 1, period):
         assert tracker.command(sample(stamp, 0.5, 0.5), stamp + LATENCY) is not None
     return tracker
@@ -146,7 +146,7 @@ def test_a_robot_whose_clock_stood_still_is_answered_after_a_moment() -> None:
 @pytest.mark.parametrize(("simulated", "pause"), [(False, PAUSE - 1), (True, SECOND)])
 def test_slow_samples_of_a_slow_clock_and_all_in_simulated_time_are_answered(simulated: bool, pause: int) -> None:
     """Without a pause before them nothing waits, however much slower than the arrivals the stamps are."""
-    tracker = ControlStep(LAW, SINE, settings(), simulated=simulated)
+    tracker = ControlStep(LAW, SINE, settings(**STILL), simulated=simulated)
     for k in range(200):
         assert tracker.command(sample(SECOND + k * MS, 0.5, 0.5), k * pause) is not None
 

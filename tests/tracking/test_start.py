@@ -22,6 +22,7 @@ from tracking.tracked import (
     PERIOD,
     SECOND,
     SINE,
+    STILL,
     Loop,
     kinds,
     largest_step,
@@ -74,7 +75,7 @@ def test_a_start_with_another_reference_checks_it() -> None:
 
 @pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
 def test_the_ramp_goes_from_the_effort_of_a_stop_to_that_of_the_law_as_a_smoothstep(policy: str) -> None:
-    tracker = ControlStep(LAW, SINE, settings(ramp_time=0.1, on_stop=policy))
+    tracker = ControlStep(LAW, SINE, settings(ramp_time=0.1, on_stop=policy, **STILL))
     weight = LAW.robot.grad_P_l([0.5]) if policy == "gravity_hold" else 0.0
     for k in range(150):
         command = tracker.command(sample(k * MS, 0.5, 0.5), k * MS)

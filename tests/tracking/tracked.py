@@ -95,6 +95,8 @@ def largest_step(efforts: Any) -> float:
 
 OBSERVED = int(constant("OBSERVED"))
 """Samples after a reset of the observer before its velocities are used."""
+STILL: dict[str, Any] = {"wiring_check": False}
+"""Setting for states that repeat whatever the effort is; with the check no motor stands still against an effort."""
 MS = 1_000_000
 SECOND = 1_000_000_000
 SINE = fjr.Sine(1.0, 1.0)
@@ -128,7 +130,7 @@ def kinds(tracker: ControlStep) -> list[str]:
 def tracker_at(
     *stamps: int, reference: fjr.Reference = SINE, robust: Robust | None = None, **given: Any
 ) -> ControlStep:
-    tracker = ControlStep(LAW, reference, settings(**given), robust=robust)
+    tracker = ControlStep(LAW, reference, settings(**STILL, **given), robust=robust)
     for stamp in stamps:
         assert tracker.command(sample(stamp, 0.5, 0.5), stamp) is not None
     return tracker

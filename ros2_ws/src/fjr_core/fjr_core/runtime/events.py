@@ -17,7 +17,7 @@ NEVER = -(2**63)
 
 STOPS, STARTS_REFUSED = "stops", "starts refused"
 """Kinds of the events that end tracking."""
-CONTACTS, POSITION_JUMP = "contacts", "position jump"
+CONTACTS, POSITION_JUMP, NO_MOTION = "contacts", "position jump", "no motion"
 KINDS = (
     "states older than the last",
     "states stale",
@@ -40,6 +40,7 @@ KINDS = (
     "stops: tracking error",
     f"stops: {POSITION_JUMP}",
     "stops: contact",
+    f"stops: {NO_MOTION}",
     "stops: law",
     "resumes",
     "efforts not finite",
@@ -68,7 +69,7 @@ SENTENCES = {
     "encoder sign": "the {side} encoder of {joints} has the wrong sign",
     "encoders exchanged": "the {side} encoders of {joints} are exchanged",
     "velocity sign": "the {side} velocity of {joints} has the sign opposite to its position's slope",
-    "velocity of another joint": "the {side} velocity of {first} is that of {last}",
+    "velocity of another joint": "the {side} velocity of {first} is that of {last}, or hums with the mains",
 }
 """Sentence of each kind of wiring fault, in the order of enum fjr_wiring_kind in step.h."""
 
@@ -115,7 +116,7 @@ SIMPLE = {
 }
 """Sentence of the events without values."""
 AFTER_GAP = 5_000_000_000  # ns; a stop within this time after a gap of the states names the gap
-STILL = 100_000_000  # ns; a tracking error of a joint whose values have not changed for longer says so
+STILL = 100_000_000  # ns; a stop of a joint whose values have not changed for longer says so
 LIMITED = {
     "link position": ("q_l", "position"),
     "motor position": ("q_m", "position"),
@@ -125,6 +126,7 @@ LIMITED = {
     "tracking error": ("q_l - q_ld", "position"),
     POSITION_JUMP: ("change of q_l", "position"),
     "contact": ("external torque", "effort"),
+    NO_MOTION: ("change of q_m that its effort must have made", "position"),
 }
 """Limited quantities: symbol, and field of Units."""
 
@@ -202,13 +204,11 @@ class Journal:
             return f"the effort of {', '.join(joints)} is at its limit", {"joint": joints[0]}
         joint = settings.joints[found.joint] if found.joint >= 0 else ""
         if kind == CONTACTS:
-            unit = settings.units[found.joint].effort
             alone = f" together; {joint} alone" if len(joints) > 1 else ""
-            torque = f"{found.value:.3g} {unit} (threshold {found.limit:.3g})"
+            torque = f"{found.value:.3g} {settings.units[found.joint].effort} (threshold {found.limit:.3g})"
             return f"contact: external torque on {', '.join(joints)}{alone}: {torque}", {}
         values: dict[str, float | str] = {"joint": joint} if joint else {}
-        if not math.isnan(found.value):
-            values |= {"value": found.value, "limit": found.limit}
+        values |= {} if math.isnan(found.value) else {"value": found.value, "limit": found.limit}
         if kind == STARTS_REFUSED:
             unit = settings.units[found.joint].position
             return (
@@ -221,7 +221,8 @@ class Journal:
             sentence = fault.sentence if fault is not None else cause
         else:
             sentence = self._step.law_failure if cause == "law" else _violation(found, settings)
-        if cause == "tracking error" and (still := found.stamp - self._step.controller.changed[found.joint]) > STILL:
+        changed = self._step.controller.changed
+        if cause in ("tracking error", NO_MOTION) and (still := found.stamp - changed[found.joint]) > STILL:
             sentence += f"; its values have not changed for {still * 1e-9:.2g} s (driver, brake or drive?)"
         return f"stopped: {sentence}{self._after_gap(found.stamp)}", values
 
@@ -237,9 +238,8 @@ class Journal:
     def outside(self) -> str:
         """Return which limit the last state violates, "" if none."""
         found = self._step.ffi.new("struct fjr_event*")
-        if not self._step.lib.fjr_is_outside(self._step.controller, found):
-            return ""
-        return _violation(found, self._step.settings)
+        outside = self._step.lib.fjr_is_outside(self._step.controller, found)
+        return _violation(found, self._step.settings) if outside else ""
 
 
 def joints_of(bits: int, joints: Sequence[str]) -> list[str]:

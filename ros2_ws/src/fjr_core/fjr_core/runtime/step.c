@@ -119,6 +119,7 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   if (!measure(m, c, sample, order)) return not_finite(m, c, stamp, command);
   if (order == FJR_NEXT || order == FJR_REPEATED) check_change(c, stamp, stamp - c->stamps.last);
   stop_miswired(c, stamp);
+  stop_unmoved(m, c, stamp);
   heed_contact(c, stamp);
   watch_wiring(m, c, order, stamp);
   if (!attempt(m, c, order, stamp, command)) return not_finite(m, c, stamp, command);

@@ -134,7 +134,8 @@ enum fjr_kind {
   FJR_REFERENCE_RESTARTS, FJR_SILENCES, FJR_FORWARD_JUMPS,
   FJR_OBSERVER_RESTARTS, FJR_RECOVERIES, FJR_STARTS_REFUSED, FJR_STOPS, FJR_STOPS_WIRING, FJR_STOPS_LINK_POSITION,
   FJR_STOPS_MOTOR_POSITION, FJR_STOPS_LINK_VELOCITY, FJR_STOPS_MOTOR_VELOCITY, FJR_STOPS_DEFLECTION,
-  FJR_STOPS_TRACKING_ERROR, FJR_STOPS_POSITION_JUMP, FJR_STOPS_CONTACT, FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
+  FJR_STOPS_TRACKING_ERROR, FJR_STOPS_POSITION_JUMP, FJR_STOPS_CONTACT, FJR_STOPS_NO_MOTION,
+  FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
   FJR_EFFORTS_RATE_LIMITED, FJR_GAINS_CHANGED, FJR_SETTINGS_CHANGED, FJR_REFERENCES_CHANGED, FJR_HOLDS, FJR_CONTACTS,
   FJR_KINDS
 };
@@ -295,6 +296,7 @@ struct fjr_controller {
   struct fjr_measured measured;
   struct fjr_sample seen;  /* the last one, answered or not */
   int64_t changed[FJR_N];  /* stamp since which it has these values, for each joint */
+  double driven[3][FJR_N]; /* then: torque of the effort; since then: speed and way of the motor by the model */
   struct fjr_supervisor supervisor;
   struct fjr_law_state law;
   struct fjr_effort_limits limits;

@@ -16,6 +16,7 @@
 #define EARLY 2               /* samples between comparisons until the window is full .. */
 #define RARER 1.1             /* .. and the ratio of their numbers later: the mean cost of a sample vanishes */
 #define CONFIRMED 2           /* consecutive comparisons that must agree on the first joint of a fault */
+#define DRIVEN 5.0            /* deviations of constant torques, beyond which a motor must move */
 #define LOADED 100.0          /* factor on the deviation of constant torques later, when the arm may touch something */
 
 #define EVIDENCE 23.025850929940457 /* 2 log 1e5: a false alarm has probability 1e-5 (Wald) */
@@ -325,6 +326,30 @@ static void watch_wiring(const struct fjr_model* m, struct fjr_controller* c, en
   else
     w->first = stamp;
   fjr_wiring_see(w, (double)(stamp - w->first) * 1e-9, c->measured.values, c->measured.values + 2 * N);
+}
+
+/* Stop if the values of a joint repeat under new stamps while effort and spring must have moved its motor: its source is
+ * dead, or a brake is closed. The torque on the motor counts from the effort at which they stood still, and as far as it
+ * exceeds DRIVEN deviations of constant torques (friction, payload, offsets of encoders). */
+static void stop_unmoved(const struct fjr_model* m, struct fjr_controller* c, int64_t stamp) {
+  const double dt = (double)c->stamps.interval * 1e-9, *link = c->seen.link;
+  double zeta[N], spring[N], drive[N], tangent, *stood = c->driven[0], *speed = c->driven[1], *way = c->driven[2];
+  for (int i = 0; i < N; ++i) zeta[i] = c->seen.motor[i] / m->gear_ratio[i] - link[i];
+  multiply(spring, m->K, zeta);
+  multiply(drive, m->B_m, c->limits.left);
+  for (int i = 0; i < N; ++i) {
+    const int64_t elapsed = stamp - c->changed[i];
+    if (m->pieces) spring[i] = on_curve(m, i, zeta[i], &tangent);
+    spring[i] += m->cubic[i] * zeta[i] * zeta[i] * zeta[i];
+    if (elapsed <= 0 || c->supervisor.stopped) stood[i] = drive[i];
+    const double torque = drive[i] - spring[i], least = fmin(fabs(torque), fabs(drive[i] - stood[i]));
+    const double beyond = c->wiring.constant[i] > 0 ? least - DRIVEN * c->wiring.constant[i] : 0;
+    speed[i] = beyond > 0 ? speed[i] + copysign(beyond, torque) / m->M_m[i * N + i] * dt : 0;
+    way[i] = beyond > 0 ? way[i] + speed[i] * dt : 0;
+    if (elapsed <= UNCHANGED + 2 * c->stamps.interval || fabs(way[i]) <= UNSEEN || c->supervisor.stopped) continue;
+    const struct fjr_event event = {FJR_STOPS, FJR_STOPS_NO_MOTION, i, 0, stamp, fabs(way[i]), UNSEEN};
+    stop(c, FJR_STOPS_NO_MOTION, event);
+  }
 }
 
 /* Stop without any effort once the check has found a fault. */
