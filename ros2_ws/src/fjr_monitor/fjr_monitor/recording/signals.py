@@ -221,8 +221,7 @@ class RunSignals:
     def _notes(self, bag: Bag, jumps: int, tail: float) -> tuple[str, ...]:
         """Return the notes; tail [s]: from the last state of the run to that of the section."""
         reader, end = self.reader, (self.stamp[-1] - self.stamp[0]) * 1e-9
-        lost = bag.held(STATES).lost or 0
-        sent = bag.held(STATES).count + lost
+        lost, kept = bag.held(STATES).lost or 0, bag.held(STATES).count
         unknown = "no effort of the controller, no latency"
         commands = ""
         if self._commands is None:
@@ -230,12 +229,10 @@ class RunSignals:
         elif not (self.answered >= 0).any():
             commands = f"no state is answered on {self._commands}: {unknown}"
         elif self._commands == EFFORTS:
-            commands = (
-                f"{ANSWERS} was not recorded: a command of {EFFORTS} is taken to answer the last state sent before it"
-            )
+            commands = f"no {ANSWERS}: a command of {EFFORTS} is taken to answer the last state sent before it"
         said = (
             "" if bag.complete else "the bag was not closed: shown is what was written until then",
-            f"the recorder lost {lost} of {sent} states: they are not judged" if lost > LOST * sent else "",
+            f"the recorder lost {lost} of {lost + kept} states: they are not judged" if lost > LOST * kept else "",
             reader.other_names,
             f"{reader.left_out} states are incomplete or not finite and left out" if reader.left_out else "",
             reader.no_motors,

@@ -136,8 +136,7 @@ def side_by_side_plots(runs: Sequence[RunSummary]) -> list[Plot]:
     latencies = [run.data.run.signals.latencies for run in runs]
     periods = [run.data.run.signals.periods for run in runs]
     largest = "The largest {} of all joints at each state; log axis."
-    error = f"error [{joined(f'm{each.position}' for run in runs for each in run.data.run.units)}]"
-    effort = f"|u| [{_units(runs, 'effort')}]"
+    error, effort = f"error [{_units(runs, 'position', 'm')}]", f"|u| [{_units(runs, 'effort')}]"
     drawn = [
         _over_time("error", "Tracking error", largest.format("|q_l − q_ld|"), runs, errors, error),
         _over_time("effort", "Effort", largest.format("|u|"), runs, efforts, effort),
@@ -163,8 +162,8 @@ def transients(runs: Sequence[RunSummary]) -> list[Plot]:
     ]
 
 
-def _units(runs: Sequence[RunSummary], what: str) -> str:
-    return joined(getattr(each, what) for run in runs for each in run.data.run.units)
+def _units(runs: Sequence[RunSummary], what: str, prefix: str = "") -> str:
+    return joined(prefix + getattr(each, what) for run in runs for each in run.data.run.units)
 
 
 def storages(runs: Sequence[RunSummary]) -> Plot:

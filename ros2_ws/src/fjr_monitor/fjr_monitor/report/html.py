@@ -219,11 +219,6 @@ def asset(name: str) -> str:
         ) from None
 
 
-def sentence(text: str) -> str:
-    """Return a clause as a sentence: with a capital and a full stop."""
-    return f"{text[:1].upper()}{text[1:]}."
-
-
 @cache
 def environment() -> Environment:
     """Return the Jinja2 environment of the pages: every value is escaped, an undefined name is an error."""
@@ -238,7 +233,8 @@ def environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    made.filters |= {"number": number, "percent": percent, "sentence": sentence, "without_home": without_home}
+    made.filters |= {"number": number, "percent": percent, "without_home": without_home}
+    made.filters["sentence"] = lambda clause: f"{clause[:1].upper()}{clause[1:]}."
     made.filters["milliseconds"] = lambda microseconds: milli(1e-6 * microseconds, "s")
     made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": SCRIPT, "STYLE": STYLE, "THREE": THREE}
     static = files("fjr_monitor") / TEMPLATES  # files that go into a page as they are, like those of uPlot
