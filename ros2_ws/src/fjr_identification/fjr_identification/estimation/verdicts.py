@@ -43,7 +43,7 @@ from .estimation_problem import Estimation
 from .motion_record import MotionRecord
 from .multiple_shooting import RIDGE, NormalEquations, PredictedSegments
 from .optimise import bounded_step
-from .parameters import COULOMB, HARDENING, KINDS, LOAD, OF_LINKS, PAYLOAD, SMOOTHING, STATIC, TIMING
+from .parameters import COULOMB, HARDENING, KINDS, LAG, LOAD, OF_LINKS, PAYLOAD, SMOOTHING, STATIC, TIMING
 
 CONFIDENCE = 0.95
 LAGS = 2
@@ -71,11 +71,10 @@ SHAPED = ("link_damping", "motor_damping", *COULOMB, *STATIC, *LOAD, SMOOTHING, 
 """Parameters that friction of another shape than the model's resembles at reversals."""
 OTHER_SHAPE = "friction has another shape, such as that of bristles, and acts like damping and skew at reversals"
 WIDER = 2.5
-"""Factor on standard deviations of a joint whose friction has another shape, or whose residuals remain coloured.
-
-No record shows this error. It covers those of damping under LuGre's friction, of which 8 of 16 intervals held, and of
-K and B on a table that swings (up to 5.7 deviations); other records are in docs/tables/identification.md.
-"""
+"""Factor on standard deviations of a joint whose friction has another shape, whose residuals remain coloured, or with a
+lag. No record shows this error. It covers those of damping under LuGre's friction (8 of 16 intervals held), of K and B
+on a table that swings, and of delay and damping behind a lag (docs/tables/identification.md)."""
+SURE = 9.0  # ratio of a squared lag's square to its variance, from which a joint has a lag
 WITHOUT_MOTOR = {"offset": "without a motor position the offset shifts the motor alone; measure the motor"}
 
 
@@ -261,7 +260,8 @@ def estimates_at(
     partners = _partners(setup, of_all)
     away = np.zeros(len(z)) if step is None else np.minimum(np.abs(step), width)
     shaped = np.array([name not in OF_LINKS and j in other_shape for name, j in coordinates.free])
-    other = np.array([name not in OF_LINKS and j in unexplained for name, j in coordinates.free])
+    lagging = [j for k, (name, j) in enumerate(coordinates.free) if name == LAG and z[k] ** 2 > SURE * covariance[k, k]]
+    other = np.array([name not in OF_LINKS and j in {*unexplained, *lagging} for name, j in coordinates.free])
     wider = np.where(shaped | other, WIDER, 1.0)
     covariance = covariance * np.outer(wider, wider) + np.diag(away**2)
     sd = np.where(np.isfinite(from_records), np.sqrt(np.diag(covariance)), width)
