@@ -233,7 +233,7 @@ def test_delay_is_estimated_under_the_noise_of_encoders_and_compared_with_its_ma
     assert most != 4 or (verdict.kind, verdict.causes[0]) == ("degraded", "delay")
     assert verdict.figures["effort age"] == pytest.approx(samples * PERIOD, abs=0.05 * PERIOD)
     share = verdict.figures["effort age"] / (5.453 * PERIOD)
-    assert f"{share:.0%} of the delay margin" in verdict.sentence
+    assert f"{100 * share:.0f} % of the delay margin" in verdict.sentence
 
 
 # The tracking error of each cause: the difference to the same run without it.
