@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from bench.figures import markdown
+from fjr_core.errors import RecordError
 from fjr_design.uncertainty.posterior import IDENTIFIED
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
@@ -37,7 +38,10 @@ def named(draws: Draws, i: int) -> Named | None:
 
     Motions are simulated only where a cause is expected, and missed: a stiffness with a cause is not called identified.
     """
-    record, nominal = read(draws, i)
+    try:
+        record, nominal = read(draws, i)
+    except RecordError:
+        return None
     if findings(record, nominal.robot):
         return None
     options = IdentifyOptions(threads=1)

@@ -127,10 +127,10 @@ def of_batch(job: tuple[str, int, int, int]) -> list[list[Interval] | None]:
 
 def identified(draws: Draws, i: int, options: IdentifyOptions) -> list[Interval] | None:
     """Return the intervals of draw i, None if its record is refused."""
-    record, nominal = read(draws, i)
-    if findings(record, nominal.robot):
-        return None
     try:
+        record, nominal = read(draws, i)
+        if findings(record, nominal.robot):
+            return None
         found = identify([record], nominal.robot, Prior.of(nominal.robot), options)
     except fjr.FjrError:
         return None
