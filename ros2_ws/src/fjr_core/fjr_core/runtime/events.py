@@ -208,7 +208,8 @@ class Journal:
             torque = f"{found.value:.3g} {settings.units[found.joint].effort} (threshold {found.limit:.3g})"
             return f"contact: external torque on {', '.join(joints)}{alone}: {torque}", {}
         values: dict[str, float | str] = {"joint": joint} if joint else {}
-        values |= {} if math.isnan(found.value) else {"value": found.value, "limit": found.limit}
+        if not math.isnan(found.value):
+            values |= {"value": found.value, "limit": found.limit}
         if kind == STARTS_REFUSED:
             unit = settings.units[found.joint].position
             return (

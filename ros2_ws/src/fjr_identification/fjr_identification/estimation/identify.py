@@ -45,10 +45,9 @@ from .verdicts import Estimates, estimates_at, fitted_at_prior, not_identifiable
 NOT_CONVERGED = (
     "the fit did not reach a minimum, so that the interval may be too narrow; check signs, units and the prior"
 )
-WORSE, DOUBTFUL = (
-    1.5,
-    1.1,
-)  # unexplained deflection of a fit that has converged or not, by that of filtered least squares
+WORSE, DOUBTFUL = 1.5, 1.1
+"""Unexplained deflection, relative to that of filtered least squares, beyond which a simulation does not fit: one that
+has converged, and one that has not."""
 RUBS = 2.0  # standard deviations; friction of a joint that is not 0 by chance
 LIKELIER = 10.0  # increase of log L from which on a friction that falls with the velocity counts
 SMOOTHER = (1.0, 0.1)  # times the prior's velocity over which friction turns over
