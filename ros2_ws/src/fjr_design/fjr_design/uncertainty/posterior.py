@@ -45,7 +45,7 @@ WHOLE = 8.0  # standard deviations, beyond which one draw in 10^15 is
 def natural(z: Array, coordinate: str) -> Array:
     """Return parameter values of their coordinates."""
     if coordinate == LOG:
-        return np.exp(z)
+        return np.exp(np.minimum(z, 700.0))  # finite also where nothing determines a parameter
     return z if coordinate == LINEAR else np.maximum(z, 0.0) ** (0.5 if coordinate == SQUARE else 1.0)
 
 

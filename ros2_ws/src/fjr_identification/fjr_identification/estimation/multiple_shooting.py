@@ -244,6 +244,7 @@ class Problem:
             damping *= 0.1 if gain > decrease / 2 else 1.0 if gain >= 0 else 100.0
         return None if compared is None else (x, compared)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def compare(self, k: int, z: Array, x: Array, noise: Array) -> Comparison | None:
         """Return the comparison of segment k at z and the initial state x (4n,), or None if it does not stay finite.
 
