@@ -2,7 +2,7 @@
 """False alarms and delay of the contact alarm, beside a momentum observer with fixed thresholds.
 
     python -m bench.contact_alarm --scenario arm7 --hours 1 --seed 1 FOLDER     simulate, a file an hour
-    python -m bench.contact_alarm --bits 14 --hours 1 FOLDER    the same with encoders of 14 bits; not in the tables
+    python -m bench.contact_alarm --bits 14 --hours 1 FOLDER    the same with encoders of 14 bits; prints its figures
     python -m bench.contact_alarm FOLDER                        write the tables of docs/tables/contact.md
 
 Every minute a robot is drawn that differs from the model by the stated errors, and a pose and sines about it. The links

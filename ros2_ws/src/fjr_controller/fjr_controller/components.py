@@ -51,7 +51,10 @@ class Control:
     ) -> None:
         self._values, joints = values, values["joints"]
         self._robot = robot = build_robot(values)
-        self._read_motion(node)
+        forget_files()
+        if values[FILE_PATH.name]:  # read now, so that a change of reference.type need not
+            for sentence in file_warnings(values, robot):
+                node.get_logger().warning(sentence)
         self._settings = settings = safety(values, robot)
         allowed = tolerances(values, robot.units)
         measured = measurement(values, robot)
@@ -123,20 +126,15 @@ class Control:
 
     def _check_weight(self, settings: Settings) -> None:
         """Raise ParameterError if an active controller gets a smaller limit of the effort below the weight it holds."""
-        stamp = self.step.last_stamp if self._command_loop.active else None
-        jets = None if stamp is None else self.step.jets_at(stamp)
-        for q in () if jets is None else (self.step.measured[: self._robot.n], jets[0]):
+        jets = self.step.jets_at(self.step.last_stamp or 0) if self._command_loop.active else None
+        if jets is None:  # no sample yet
+            return
+        for q in self.step.measured[: self._robot.n], jets[0]:
             weight = np.abs(np.linalg.solve(self._robot.B_m, self._robot.grad_P_l(q)))
             for i in np.flatnonzero(settings.effort < np.minimum(weight, self._settings.effort)):
                 unit, limit = settings.units[i].effort, np.asarray(settings.effort)[i]
                 found = f"'limits.effort' of {settings.joints[i]} is {limit:g} {unit}; expected at least its weight"
                 raise ParameterError(f"parameter {found}, {weight[i]:.3g} {unit}, while the controller is active")
-
-    def _read_motion(self, node: Node) -> None:
-        """Read the file of reference.file.*, so that a change of reference.type need not; log what it asks for."""
-        forget_files()
-        for sentence in file_warnings(self._values, self._robot) if self._values[FILE_PATH.name] else ():
-            node.get_logger().warning(sentence)
 
     def _built_in(self) -> Reference:
         """Return the reference that the parameters describe. Raise ParameterError if it violates its limits."""

@@ -143,16 +143,16 @@ def rubs_with_load(setup: Estimation, z: Array) -> bool:
     equations = FilteredEquations(setup, z)
     for j in range(setup.robot.n):
         sides = equations.motors(j)
-        term = _of_effort(setup, sides, [side.columns[(LOAD[1], j)][:, None] for side in sides])
+        term = _of_terms(setup, sides, [side.columns[(LOAD[1], j)][:, None] for side in sides])
         if term.is_cause() and term.c[0] > LEAST_SHARE:
             return True
     return False
 
 
-def _of_effort(setup: Estimation, sides: Sequence[Side], torques: Sequence[Array]) -> Term:
-    """Return what more torques (k, c) explain of the equations of a motor, some in each record."""
-    pairs = zip(sides, torques, strict=True)
-    added = np.concatenate([decimated(torque * side.used[:, None], side.stride) for side, torque in pairs])
+def _of_terms(setup: Estimation, sides: Sequence[Side], terms: Sequence[Array]) -> Term:
+    """Return what more terms (k, c) explain of the equations of one side of a joint, some in each record."""
+    pairs = zip(sides, terms, strict=True)
+    added = np.concatenate([decimated(term * side.used[:, None], side.stride) for side, term in pairs])
     return _rows(sides, _columns(setup, sides)).term(added)
 
 
@@ -160,7 +160,7 @@ def _of_position(equations: FilteredEquations, links: Sequence[Side], j: int) ->
     """Return a sentence if the equation of the spring of joint j depends on its position, and so does its effort."""
     setup, motors = equations.setup, equations.motors(j)
     terms = [np.column_stack(position_terms(inner(m.q_m[:, j], m.dt), np)) for m in setup.motions]
-    on_link, on_motor = (_of_effort(setup, sides, [terms[side.record] for side in sides]) for sides in (links, motors))
+    on_link, on_motor = (_of_terms(setup, sides, [terms[side.record] for side in sides]) for sides in (links, motors))
     if not on_link.is_cause():
         return ""
     if on_motor.is_cause() and on_motor.size > LEAST * motors[0].measured:
@@ -172,7 +172,7 @@ def _of_links(equations: FilteredEquations, j: int) -> str:
     """Return a sentence if the effort of joint j needs other links than those of the robot file."""
     sides = equations.motors(j)
     loads = [inner(equations.rigid[side.record][0][:, [j]], side.dt) for side in sides]
-    term = _of_effort(equations.setup, sides, loads)
+    term = _of_terms(equations.setup, sides, loads)
     factor = 1 + float(term.c[0])
     if not term.is_cause() or abs(factor - 1) < LIGHT or not 1 / MOST < factor < MOST:
         return ""

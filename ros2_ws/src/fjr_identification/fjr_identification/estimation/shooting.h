@@ -5,8 +5,8 @@ typedef int (*fjr_function)(const double** arg, double** res, long long* iw, dou
 
 /* Accelerations (x, u, parameters) -> dv (2 N), nonzeros of d dv / d(x, free, u), and the memory that they need.
  * dS = (S_v, A S + P): row i of A has nonzeros row_start[i] .. row_start[i + 1] - 1; P has those of block b of columns from
- * forced_start[b] on. entry: where the function puts a nonzero. forced_joint: j of a derivative by the delay of an effort, N + j by
- * the square of its lag, else -1. */
+ * forced_start[b] on. entry: where the function puts a nonzero. forced_joint: j of a derivative by the delay of an effort,
+ * N + j by the square of its lag, else -1. */
 struct fjr_arm {
   fjr_function f;
   const double** arg;
@@ -21,8 +21,9 @@ struct fjr_arm {
 
 /* Efforts u (count, N) of a record behind their lag, held for a sample period, of which one starts a segment at index
  * `first`, and du, their derivatives by the square of the lag.
- * delay (N): in samples, of which the lag is a part. parts: integration steps of a sample period, halved where the velocity of a link or motor (2 N)
- * may come below slow: to `rest` [s], and to a change of velocity of `passage` unless the step is `harmless` [s]. */
+ * delay (N): in samples, of which the lag is a part. parts: integration steps of a sample period, halved where the
+ * velocity of a link or motor (2 N) may come below slow: to `rest` [s], and to a change of velocity of `passage` unless
+ * the step is `harmless` [s]. */
 struct fjr_input {
   const double *u, *du;
   int64_t count, first, parts;
