@@ -93,4 +93,4 @@ class Columns:
         """Return the columns from `first` to `end` of a block (k, end - first)."""
         k = self._begins[block + 1] - self._begins[block]
         self._file.seek(BYTES * (self._width * self._begins[block] + k * first))
-        return np.frombuffer(self._file.read(BYTES * k * (end - first))).reshape(-1, k).T
+        return np.frombuffer(self._file.read(BYTES * k * (end - first))).reshape(end - first, k).T
