@@ -126,12 +126,17 @@ class ControllerNode(ManagedParameterNode):
         self.trouble = None
         try:
             sentence = f"{done}: {act()}"
+        except FjrError as error:
+            self.trouble = error
+            self._events.publish("error", "transition failed", str(error))
+            if not self._starting:
+                self.get_logger().error(str(error))
+            return FAILURE
         except Exception as error:
-            self.trouble, known = error, isinstance(error, FjrError)
-            self._events.publish("error", "transition failed", str(error) if known else repr(error))
-            if not (known and self._starting):
-                self.get_logger().error(str(error) if known else "".join(traceback.format_exception(error)))
-            return FAILURE if known else ERROR
+            self.trouble = error
+            self._events.publish("error", "transition failed", repr(error))
+            self.get_logger().error("".join(traceback.format_exception(error)))
+            return ERROR
         self.get_logger().info(sentence)
         self._events.publish("info", done, sentence)
         return SUCCESS
