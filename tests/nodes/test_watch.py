@@ -52,7 +52,7 @@ def test_view_is_complete_at_any_width_and_long_names_truncate_no_value(width: i
     for words in (
         "fjr watch /left   999.6 states/s",
         "joint1",
-        "2.0e-04",
+        " 0.2 ",
         "-88.000",
         "50 %",
         "peak 6",
@@ -71,7 +71,7 @@ def test_view_is_complete_at_any_width_and_long_names_truncate_no_value(width: i
     assert ("dq_l" in said) == (width >= 118)
     long = [dataclasses.replace(each, name=f"left_shoulder_of_the_arm_{each.name}") for each in FULL.joints]
     truncated = text(dataclasses.replace(FULL, joints=tuple(long)), width)
-    for words in ("left_sh", "+0.5000", "2.0e-04", "-88.000", "of limit", "50 %", "peak 6"):
+    for words in ("left_sh", "+0.5000", " 0.2 ", "-88.000", "of limit", "50 %", "peak 6"):
         assert words in truncated, words
     for screen in (said, truncated):
         assert max(map(len, screen.splitlines())) <= width

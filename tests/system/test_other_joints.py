@@ -109,7 +109,7 @@ def test_the_live_view_marks_a_prismatic_joint() -> None:
     watched.description(URDF)
     watched.state(0.0, {"lift": 0.1, "elbow": 0.2}, {})
     shown = text(watched.view(0.0))
-    assert "lift [m, N]" in shown
+    assert "lift [m, mm, N]" in shown
     assert "elbow [" not in shown
 
 

@@ -154,7 +154,7 @@ def test_link_reference_and_motor_are_posed_by_the_view(page: BrowserPage, brows
     assert len(set(pictures[:4])) == 4
     assert pictures[4] == pictures[0]
     cells = browser.value("[...document.querySelectorAll('#joints td')].map((cell) => cell.textContent)")
-    assert cells == ["0.3000 rad", "0.1000 rad", "2.0e-1 rad", "1.00 N m", "25 %"]
+    assert cells == ["0.3000 rad", "100 mrad", "200 mrad", "1.00 N m", "25 %"]
     assert browser.said == []
 
 
@@ -222,7 +222,7 @@ def test_a_running_loop_is_on_the_screen_until_the_plant_ends(loop: dict[str, Ex
         before = watch.until(
             lambda text: all(word in text for word in words) and set(rows(text)) == {"shoulder", "elbow"}
         )
-        assert np.all(np.abs(rows(before)["elbow"]) < [10, 100, 1, 10])  # q_l, dq_l, deflection, error
+        assert np.all(np.abs(rows(before)["elbow"]) < [10, 100, 1e3, 1e4])  # rad, rad/s, mrad
         assert "fjr watch left" in before
         watch.until(lambda text: text != before and "elbow" in text)
         loop["plant"].kill()

@@ -58,16 +58,18 @@
     return value == null ? "–" : `${value.toFixed(digits)} ${unit}`;
   }
 
+  const thousandths = (value, unit) => (value == null ? "–" : `${Number((1e3 * value).toPrecision(3))} ${unit}`);
+
   function tabulate() {
     const body = document.getElementById("joints");
     body.replaceChildren();
     for (const joint of view.joints) {
-      const [length, force] = joint.prismatic ? ["m", "N"] : ["rad", "N m"];
+      const [length, small, force] = joint.prismatic ? ["m", "mm", "N"] : ["rad", "mrad", "N m"];
       const row = element("tr", body, "");
       element("th", row, joint.name);
       element("td", row, written(joint.position, length));
-      element("td", row, written(joint.deflection, length));
-      element("td", row, joint.error == null ? "–" : `${joint.error.toExponential(1)} ${length}`);
+      element("td", row, thousandths(joint.deflection, small));
+      element("td", row, thousandths(joint.error, small));
       element("td", row, written(joint.effort, force, 2));
       const share = joint.limit && joint.effort != null ? Math.abs(joint.effort) / joint.limit : null;
       element("td", row, share == null ? "–" : `${Math.round(100 * share)} %`);
