@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fjr_core.config.law import ROBUST
 from fjr_core.files.importing import is_named
 from fjr_core.numerics.checks import Array
 from fjr_monitor.report import html
@@ -124,7 +125,7 @@ def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -
 
 
 def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
-    options = ", ".join(f"{name} {value:g}" for name, value in law["robust"].items())
+    options = ", ".join(f"{name} {number(value, ROBUST[name].unit)}" for name, value in law["robust"].items())
     tunings = [document["results"][robot][law["label"]]["tuning"] for robot in document["robots"]]
     return [f"{each}; {options}" if options else each for each in tunings]
 
