@@ -87,7 +87,7 @@ BUDGETS = {
     "fjr_msgs_py": 3_650,
     "fjr_monitor": 7_530,
     "fjr_plant": 1_380,
-    "fjr_controller": 1_760,
+    "fjr_controller": 1_770,
     "fjr_design": 9_200,
     "fjr_identification": 6_080,
     "fjr_proofs": 4_020,

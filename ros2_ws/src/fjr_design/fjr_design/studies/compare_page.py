@@ -114,7 +114,7 @@ def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -
     return {
         "name": robot,
         "text": f"{joints}, sample period {period}. Motions: {references}.",
-        "place": place_of(i),
+        "place": f"robot-{i}",
         "tables": [
             *([("Drawn plants", drawn, fresh)] if drawn else []),
             ("Robustness margins", _groups(found, "margins"), margins),
@@ -151,18 +151,13 @@ def comparison_plots(document: dict[str, Any]) -> list[Plot]:
     for i, robot in enumerate(document["robots"]):
         results = [document["results"][robot][law["label"]] for law in document["laws"]]
         laws = list(zip(styles, results, strict=True))
-        place = place_of(i)
+        place = f"robot-{i}"
         margins = [row for row in found if row.robot == robot and row.kind == "margins"]
         plots += [_trace(place, laws, *texts) for texts in TRACES]
         for axis in document["suite"]["margins"]:
             caption = _winners([row for row in margins if row.name.startswith(axis)], [name for name, *_ in styles])
             plots.append(_curve(place, laws, axis, document["suite"]["tracks"], caption))
     return [plot for plot in plots if not plot.is_empty]
-
-
-def place_of(number: int) -> str:
-    """Return the id of the HTML element for the plots of a robot."""
-    return f"robot-{number}"
 
 
 def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:

@@ -91,9 +91,8 @@ class Recording:
         self.signals = signals = RunSignals(bag, scenario, duration)
         self.stop, count = first_stop(signals), len(signals.stamp)
         self.velocities_measured = not signals.reader.estimated
-        nominal, seen = scenario.sample_period, 0.0
-        if count > 1:
-            seen = float(np.median(np.diff(signals.stamp))) * 1e-9
+        nominal = scenario.sample_period
+        seen = float(np.median(np.diff(signals.stamp))) * 1e-9 if count > 1 else 0.0
         other = seen > 0 and abs(seen - nominal) > OTHER_RATE * nominal
         self.step, self.sample_period = seen or nominal, (seen if other else nominal)
         rate = f"the scenario's robot sends them every {nominal * 1e3:g} ms"
