@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line of the set-up: `setup_env.py build|test|bench|docs|lint|check`."""
+"""Set the workspace up from nothing.
+
+build, test, bench, docs: environment to run, test, measure or build the documents, and the colcon build
+lint: environment to test, no build
+check: show which Python and ROS 2 would be used; change nothing
+"""
 
 from __future__ import annotations
 
@@ -19,21 +24,12 @@ from envsetup.workspace import Workspace
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = {"build": "run", "test": "test", "bench": "bench", "docs": "docs", "lint": "test", "check": ""}
 """Level of the environment (see pins.LEVELS) by target."""
-TARGETS = "\n".join(
-    (
-        "Set the workspace up from nothing.",
-        "",
-        "  build, test, bench, docs: environment to run, test, measure or build the documents, and the colcon build",
-        "  lint: environment to test, no build",
-        "  check: show which Python and ROS 2 would be used; change nothing",
-    )
-)
 
 
 def main(arguments: Sequence[str]) -> int:
     """Set up a target; return 0, or 1 with one sentence on stderr on failure."""
     raw = argparse.RawTextHelpFormatter
-    parser = argparse.ArgumentParser(prog="setup_env.py", description=TARGETS, formatter_class=raw)
+    parser = argparse.ArgumentParser(prog="setup_env.py", description=__doc__, formatter_class=raw)
     parser.add_argument("target", choices=LEVELS, metavar="|".join(LEVELS))
     target = parser.parse_args(arguments).target
     try:
