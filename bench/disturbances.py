@@ -23,7 +23,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -33,8 +33,7 @@ from urllib.request import urlopen
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter_client import AsyncParameterClient
+from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -44,6 +43,7 @@ from bench.machine import watched
 from bench.nodes import controller, plant, process, running, scenario_file
 from bench.real_time import at_rest
 from bench.tap import DEPTH, Heard, Tap, waiting
+from fjr_bringup.clients import ServiceClient
 from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.runtime.events import STOPS
@@ -150,20 +150,15 @@ def _trajectory() -> bytes:
 
 
 def _read_parameters(_: Tap, heard: Heard) -> None:
-    """Read three parameters of the controller again and again."""
-    with own_node("fjr_bench_reader") as node:
-        executor = SingleThreadedExecutor(context=node.context)
-        executor.add_node(node)
-        client = AsyncParameterClient(node, CONTROLLER)
-        if not client.wait_for_services(LIMIT):
-            raise TimeoutError(f"waited {LIMIT:g} s for the parameters of {CONTROLLER}")
+    """Read two parameters of the controller again and again."""
+    with own_node("fjr_bench_reader") as node, closing(ServiceClient(node, LIMIT)) as client:
+        parameters = client.find(f"/{CONTROLLER}/get_parameters")
         due = begun = time.monotonic()
         while due < begun + SECONDS:
-            executor.spin_until_future_complete(client.get_parameters(["gains.K_ld", "joints"]), LIMIT)
+            client.ask(parameters, GetParameters.Request(names=["gains.K_ld", "joints"]))
             heard.drain()
             due = max(due + PERIOD, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-        executor.shutdown()
 
 
 def _record_and_watch(_: Tap, heard: Heard) -> None:

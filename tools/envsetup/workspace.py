@@ -20,8 +20,8 @@ COPIED = {"setup.py", "setup.cfg", "package.xml"}
 OTHER = re.compile(r"build|\..*|__pycache__.*|.*(\.egg-info|\.pyc|~)", re.DOTALL)
 """Names of files and folders that belong to no package."""
 COLCON = "import sys; from colcon_core.command import main; sys.exit(main())"
-OPTIONS = "build --symlink-install --base-paths src --event-handlers console_cohesion+ desktop_notification-".split()
-OPTIONS += ["terminal_title-", "status-"]
+OPTIONS = ("build", "--symlink-install", "--base-paths", "src", "--event-handlers")
+EVENTS = ("console_cohesion+", "desktop_notification-", "terminal_title-", "status-")
 
 UNQUOTED = re.compile(r"^(_colcon\w*_COLCON_CURRENT_PREFIX=)(/.*)$", re.MULTILINE)
 CALL = re.compile(r"\$\(\$_colcon_python_executable ")
@@ -62,7 +62,7 @@ class Workspace:
         python, env = str(self.environment.python), self.environment.env
         log = self.environment.root / ".setup" / "colcon.log"
         log.unlink(missing_ok=True)
-        colcon = [python, "-c", COLCON, *OPTIONS]
+        colcon = [python, "-c", COLCON, *OPTIONS, *EVENTS]
         run("colcon build of ros2_ws", colcon, log, env, "colcon could not build ros2_ws", cwd=self.path)
         quote_paths(self.install)
         folders = [str(file.parent) for file in sorted((self.path / "src").glob("*/*/__init__.py"))]
