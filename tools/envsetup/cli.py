@@ -16,14 +16,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from envsetup.commands import PREFIX, SetupError, say
-from envsetup.machine import base_interpreter, compiler, extras, ros_interpreter, uses_sourced_ros
-from envsetup.virtualenv import Environment
+from envsetup.environment import Environment
+from envsetup.machine import PREFIX, SetupError, base_interpreter, compiler, extras, ros_interpreter, say, uses_sourced_ros
 from envsetup.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = {"build": "run", "test": "test", "bench": "bench", "docs": "docs", "lint": "test", "check": ""}
-"""Level of the environment (see pins.LEVELS) by target."""
+"""Level of the environment (see environment.LEVELS) by target."""
 
 
 def main(arguments: Sequence[str]) -> int:
