@@ -40,9 +40,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from bench.figures import Figure
 from bench.machine import watched
-from bench.nodes import controller, plant, process, running, scenario_file
+from bench.nodes import DEPTH, Heard, Tap, controller, plant, process, running, scenario_file, waiting
 from bench.real_time import at_rest
-from bench.tap import DEPTH, Heard, Tap, waiting
 from fjr_bringup.clients import ServiceClient
 from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario

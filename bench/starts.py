@@ -25,8 +25,7 @@ from tqdm import tqdm
 
 from bench.figures import Figure
 from bench.machine import watched
-from bench.nodes import burning, controller, plant, process, ros_environment, used
-from bench.tap import Tap
+from bench.nodes import Tap, burning, controller, plant, process, ros_environment, used
 from fjr_core.config.scenario import load_scenario
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.files import Topic
