@@ -165,7 +165,10 @@ def _record_and_watch(_: Tap, heard: Heard) -> None:
     with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder, ExitStack() as stack:
         bag = Path(folder, "bag")
         stack.enter_context(process(["fjr", "record", "--output", str(bag)]))
-        events = stack.enter_context(_page())
+        watch = stack.enter_context(process(["fjr", "watch", "--browser"], stdout=subprocess.PIPE))
+        assert watch.stdout is not None
+        address = next(word for word in watch.stdout.readline().split() if word.startswith("http://"))
+        events = stack.enter_context(urlopen(f"{address}events", timeout=LIMIT))
         heard.until(lambda: any(f.stat().st_size > 1 << 20 for f in bag.glob("*.mcap")), LIMIT, "the bag to grow")
         heard.drain()
         for found in heard.seen:
@@ -174,16 +177,6 @@ def _record_and_watch(_: Tap, heard: Heard) -> None:
         while time.monotonic() < end:
             events.readline()
             heard.drain()
-
-
-@contextmanager
-def _page() -> Iterator[Any]:
-    """Yield the stream of events of a page of `fjr watch --browser`."""
-    with process(["fjr", "watch", "--browser"], stdout=subprocess.PIPE) as watch:
-        assert watch.stdout is not None
-        address = next(word for word in watch.stdout.readline().split() if word.startswith("http://"))
-        with urlopen(f"{address}events", timeout=LIMIT) as events:
-            yield events
 
 
 @dataclass(frozen=True)

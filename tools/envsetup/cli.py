@@ -16,8 +16,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from envsetup import machine
 from envsetup.environment import Environment
-from envsetup.machine import PREFIX, SetupError, base_interpreter, compiler, extras, ros_interpreter, say, uses_sourced_ros
+from envsetup.machine import PREFIX, SetupError, say
 from envsetup.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("target", choices=LEVELS, metavar="|".join(LEVELS))
     target = parser.parse_args(arguments).target
     try:
-        sourced_ros = uses_sourced_ros()
+        sourced_ros = machine.uses_sourced_ros()
         if sourced_ros:
             enter_ros_interpreter()
         set_up(target, sourced_ros)
@@ -50,7 +51,7 @@ def set_up(target: str, sourced_ros: bool) -> None:
     environment = Environment(ROOT, sourced_ros)
     if target == "check":
         source = "the sourced one" if sourced_ros else "wheels"
-        say(f"Python {sys.version.split()[0]} ({base_interpreter()}), ROS 2 Jazzy: {source}")
+        say(f"Python {sys.version.split()[0]} ({machine.base_interpreter()}), ROS 2 Jazzy: {source}")
         say(f"environment {environment.path}")
         return
     say(f"checking {environment.path.name}")
@@ -58,17 +59,17 @@ def set_up(target: str, sourced_ros: bool) -> None:
         environment.ensure(LEVELS[target])
         if target != "lint":
             log, python = ROOT / ".setup" / "extras.log", environment.python
-            if not compiler(environment.env, python).ensure(log, environment.env):
+            if not machine.compiler(environment.env, python).ensure(log, environment.env):
                 environment.add_compiler()
-            for extra in extras(target, python, sourced_ros):
+            for extra in machine.extras(target, python, sourced_ros):
                 extra.ensure(log, environment.env)
             Workspace(environment).ensure()
 
 
 def enter_ros_interpreter() -> None:
     """Continue in the Python of the sourced ROS 2 if it is another one."""
-    python = ros_interpreter()
-    if python != base_interpreter() and not os.environ.get("FJR_SETUP_ENTERED"):
+    python = machine.ros_interpreter()
+    if python != machine.base_interpreter() and not os.environ.get("FJR_SETUP_ENTERED"):
         sys.stdout.flush()
         os.execvpe(python, [python, *sys.argv], {**os.environ, "FJR_SETUP_ENTERED": "1"})
 
