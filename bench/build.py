@@ -14,8 +14,7 @@ from unittest.mock import patch
 import casadi as ca
 import numpy as np
 
-from bench.figures import Figure
-from bench.measure import one_core
+from bench.figures import Figure, one_core
 from fjr_core import Gains, Plant, TrackingLaw, robot_from_urdf
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics.jit import compiled

@@ -23,7 +23,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -33,17 +33,16 @@ from urllib.request import urlopen
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter_client import AsyncParameterClient
+from rcl_interfaces.srv import GetParameters
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from bench.figures import Figure
 from bench.machine import watched
-from bench.nodes import controller, plant, process, running, scenario_file
+from bench.nodes import DEPTH, Heard, Tap, controller, plant, process, running, scenario_file, waiting
 from bench.real_time import at_rest
-from bench.tap import DEPTH, Heard, Tap, waiting
+from fjr_bringup.clients import ServiceClient
 from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.runtime.events import STOPS
@@ -150,20 +149,15 @@ def _trajectory() -> bytes:
 
 
 def _read_parameters(_: Tap, heard: Heard) -> None:
-    """Read three parameters of the controller again and again."""
-    with own_node("fjr_bench_reader") as node:
-        executor = SingleThreadedExecutor(context=node.context)
-        executor.add_node(node)
-        client = AsyncParameterClient(node, CONTROLLER)
-        if not client.wait_for_services(LIMIT):
-            raise TimeoutError(f"waited {LIMIT:g} s for the parameters of {CONTROLLER}")
+    """Read two parameters of the controller again and again."""
+    with own_node("fjr_bench_reader") as node, closing(ServiceClient(node, LIMIT)) as client:
+        parameters = client.find(f"/{CONTROLLER}/get_parameters")
         due = begun = time.monotonic()
         while due < begun + SECONDS:
-            executor.spin_until_future_complete(client.get_parameters(["gains.K_ld", "joints"]), LIMIT)
+            client.ask(parameters, GetParameters.Request(names=["gains.K_ld", "joints"]))
             heard.drain()
             due = max(due + PERIOD, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-        executor.shutdown()
 
 
 def _record_and_watch(_: Tap, heard: Heard) -> None:
@@ -171,7 +165,10 @@ def _record_and_watch(_: Tap, heard: Heard) -> None:
     with tempfile.TemporaryDirectory(prefix="fjr-bench-") as folder, ExitStack() as stack:
         bag = Path(folder, "bag")
         stack.enter_context(process(["fjr", "record", "--output", str(bag)]))
-        events = stack.enter_context(_page())
+        watch = stack.enter_context(process(["fjr", "watch", "--browser"], stdout=subprocess.PIPE))
+        assert watch.stdout is not None
+        address = next(word for word in watch.stdout.readline().split() if word.startswith("http://"))
+        events = stack.enter_context(urlopen(f"{address}events", timeout=LIMIT))
         heard.until(lambda: any(f.stat().st_size > 1 << 20 for f in bag.glob("*.mcap")), LIMIT, "the bag to grow")
         heard.drain()
         for found in heard.seen:
@@ -180,16 +177,6 @@ def _record_and_watch(_: Tap, heard: Heard) -> None:
         while time.monotonic() < end:
             events.readline()
             heard.drain()
-
-
-@contextmanager
-def _page() -> Iterator[Any]:
-    """Yield the stream of events of a page of `fjr watch --browser`."""
-    with process(["fjr", "watch", "--browser"], stdout=subprocess.PIPE) as watch:
-        assert watch.stdout is not None
-        address = next(word for word in watch.stdout.readline().split() if word.startswith("http://"))
-        with urlopen(f"{address}events", timeout=LIMIT) as events:
-            yield events
 
 
 @dataclass(frozen=True)

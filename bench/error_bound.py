@@ -163,14 +163,9 @@ class UncertainLoop:
         sizes = {name: size.size for name, size in self._sizes.items()}
         parts = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
         parameters = ca.vertcat(*parts.values())
-        f = ca.Function("f", [x, u, parameters], [_rates(robot, x, u, parts)])
-        h, state = dt / STEPS, x
-        for _ in range(STEPS):
-            k1 = f(state, u, parameters)
-            k2 = f(state + h / 2 * k1, u, parameters)
-            k3 = f(state + h / 2 * k2, u, parameters)
-            state += h / 6 * (k1 + 2 * k2 + 2 * k3 + f(state + h * k3, u, parameters))
-        return compiled(ca.Function("uncertain_step", [x, u, parameters, dt], [state], {"cse": True}))
+        f = ca.Function("f", [x, ca.vertcat(u, parameters)], [_rates(robot, x, u, parts)])
+        after = ca.simpleRK(f, STEPS)(x, ca.vertcat(u, parameters), dt)
+        return compiled(ca.Function("uncertain_step", [x, u, parameters, dt], [after], {"cse": True}))
 
 
 def _rates(robot: Robot, x: ca.SX, u: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:

@@ -1,21 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What benchmarks and studies write: figures with their bounds, results of long studies, tables of docs/tables."""
+"""Figures with their bounds, calls timed alternately (A B A B ...), results of long studies, tables of docs/tables."""
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from timeit import timeit
 from typing import Any
 
+import numpy as np
+
+from fjr_core.numerics.checks import Array
 from fjr_msgs_py.console.output import aligned
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = ROOT / "docs" / "tables"
 HEADINGS = ("figure", "measured", "bound", "aim", "holds", "from")
+REPEATS = 41
+BLOCK = 5e-3  # s; approximate duration of a block of calls
+Call = Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -75,6 +84,53 @@ def page(document: Mapping[str, Any]) -> str:
     said = f"{processor}, {cores}, {python}, {document['date'][:10]}."
     lines = markdown(HEADINGS, [Figure(**each).row() for each in figures])
     return "\n".join(["# Benchmark figures", "", f"Written by `make bench`. {said}", "", *lines, ""])
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Pin this process to one core, if the system allows it, and disable the garbage collector."""
+    allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    if allowed:
+        os.sched_setaffinity(0, {max(allowed)})
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        if allowed:
+            os.sched_setaffinity(0, allowed)
+
+
+def in_turns(calls: Mapping[str, Call], repeats: int = REPEATS) -> dict[str, Array]:
+    """Return seconds per call of each, one entry per repeat.
+
+    Blocks of the calls alternate, so that a slower machine affects all of them.
+    """
+    with one_core():
+        counts = {name: _block_size(call) for name, call in calls.items()}
+        rounds = [
+            [timeit(call, number=counts[name]) / counts[name] for name, call in calls.items()] for _ in range(repeats)
+        ]
+    return dict(zip(calls, np.array(rounds).T, strict=True))
+
+
+def ratio(ours: Array, theirs: Array) -> float:
+    """Return the median over the repeats of ours / theirs."""
+    return float(np.median(ours / theirs))
+
+
+def microseconds(times: Mapping[str, Array]) -> dict[str, float]:
+    """Return the medians [us]."""
+    return {f"{name} [us]": 1e6 * float(np.median(seconds)) for name, seconds in times.items()}
+
+
+def _block_size(call: Call) -> int:
+    """Return the number of calls that take about BLOCK, after a warm-up call."""
+    call()
+    count = 1
+    while timeit(call, number=count) < BLOCK:
+        count *= 2
+    return count
 
 
 def kept(file: Path, result: Callable[[], Any]) -> Any:

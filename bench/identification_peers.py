@@ -213,7 +213,13 @@ def of_a_minute(duration: float = MINUTE) -> list[Figure]:
     with tempfile.TemporaryDirectory() as name:
         run = _recorded(Path(name), _excited(Path(name), duration), duration)
         found, estimates = _identified(Path(name), run)
-    inside = _inside(estimates)
+    truth, joints = true_values(arm7().robot), arm7().joints
+    known = {(name, joint): value for name in truth for joint, value in zip(joints, truth[name], strict=True)}
+    inside = [  # the arm has none of the other parameters, and no friction that turns over
+        each["low"] <= known.get((each["name"], each["joint"]), 0.0) <= each["high"]
+        for each in estimates
+        if each["name"] != SMOOTHING
+    ]
     label = f"{duration:g} s of seven joints"
     bound = LONGEST if duration == MINUTE else None
     parts = {"processor [s]": found.processor, "memory [MB]": found.memory}
@@ -262,14 +268,3 @@ def _identified(folder: Path, run: str) -> tuple[Used, list[dict[str, Any]]]:
     file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {"robot": document}}}), encoding="utf-8")
     found = used("fjr", "identify", run, "--robot", str(file), "--output", str(output))
     return found, json.loads((output / "identification.json").read_text(encoding="utf-8"))["estimates"]
-
-
-def _inside(estimates: list[dict[str, Any]]) -> list[bool]:
-    """Return for each estimate whether its interval contains the truth; the arm has no friction that turns over."""
-    truth, joints = true_values(arm7().robot), arm7().joints
-    zeros = np.zeros(len(joints))  # of the other parameters
-    return [
-        bool(each["low"] <= truth.get(each["name"], zeros)[joints.index(each["joint"])] <= each["high"])
-        for each in estimates
-        if each["name"] != SMOOTHING
-    ]

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.figures import Figure
-from bench.nodes import HOSTS, controller, plant, running, scenario_file, used
-from bench.tap import Tap
+from bench.nodes import HOSTS, Tap, controller, plant, running, scenario_file, used
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py import names
 

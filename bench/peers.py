@@ -12,8 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from bench.arm import arm7, forward_dynamics, mujoco_spec, random_motion, rigid_arm7
-from bench.figures import Figure
-from bench.measure import Call, in_turns, microseconds, one_core, ratio
+from bench.figures import Call, Figure, in_turns, microseconds, one_core, ratio
 from fjr_core import PAPER_GAINS, TrackingLaw, simulate, single_link
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array

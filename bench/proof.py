@@ -12,8 +12,7 @@ import time
 from typing import NamedTuple
 
 from bench.arm import arm7
-from bench.figures import Figure, markdown
-from bench.measure import one_core
+from bench.figures import Figure, markdown, one_core
 from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, sample_configurations
 from fjr_core.motions.domain import MOST_BOXES, Domain, tube
 from fjr_proofs.rate import proof_of_rate

@@ -22,10 +22,8 @@ from numpy.typing import NDArray
 
 from bench.arm import arm7
 from bench.bare import PERIOD
-from bench.figures import Figure
-from bench.measure import ratio
-from bench.nodes import HOSTS, PRIORITY, bare, burning, controller, plant, running, scenario_file, used
-from bench.tap import Seen, Tap
+from bench.figures import Figure, ratio
+from bench.nodes import HOSTS, PRIORITY, Seen, Tap, bare, burning, controller, plant, running, scenario_file, used
 from fjr_core.config.scenario import Scenario
 from fjr_msgs_py import names
 

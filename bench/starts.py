@@ -25,11 +25,12 @@ from tqdm import tqdm
 
 from bench.figures import Figure
 from bench.machine import watched
-from bench.nodes import burning, controller, plant, process, ros_environment, used
-from bench.real_time import in_time
-from bench.tap import Tap
-from fjr_monitor.recording.bag import header_stamp, read_bag
+from bench.nodes import Tap, burning, controller, plant, process, ros_environment, used
+from fjr_core.config.scenario import load_scenario
+from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.files import Topic
+from fjr_monitor.recording.run import Recording
+from fjr_monitor.recording.signals import ANSWERS, RunSignals
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.scenarios.library import find
@@ -198,30 +199,21 @@ def _start(ordinary: bool) -> Start:
         if done.returncode not in set(Exit) or not report.is_file():
             raise RuntimeError(f"{' '.join(command)} ended with {done.returncode}\n{done.stdout}{done.stderr}")
         found = json.loads(report.read_text(encoding="utf-8"))
-        bag = read_bag(Path(folder, "arm7", "bag"))
-        topics = names.JOINT_STATES, names.JOINT_COMMANDS
-        share, wait, late = answers(*(rows(bag.topic(f"/{topic}")) for topic in topics))
+        run_of_bag = Recording(read_bag(Path(folder, "arm7", "bag")), load_scenario(SCENARIO))
+        share, wait, late = answers(run_of_bag.signals, run_of_bag.bag.topic(ANSWERS))
     error = (found["tracking"] or {}).get("max_error_after_2s_rad")
     return Start(found["status"] == "stopped", share, wait, np.inf if error is None else error, late)
 
 
-def rows(topic: Topic) -> NDArray[np.int64]:
-    """Return stamp, send time [ns] and number (k, 3) of the messages of a topic."""
-    stamps, numbers = zip(*((header_stamp(each.data), each.sequence) for each in topic.messages), strict=True)
-    return np.column_stack([stamps, topic.publish_time, numbers])
-
-
-def answers(states: NDArray[np.int64], commands: NDArray[np.int64]) -> tuple[float, float, NDArray[np.int64]]:
+def answers(run: RunSignals, commands: Topic) -> tuple[float, float, NDArray[np.int64]]:
     """Return the share [%] of the first STATES answered before the next one, the longest wait for an effort [ms], late.
 
-    late (k, 2): when the other states, and the next ones, were sent [ns]. states, commands: as of `rows`. The first
-    state is the first that is answered. A run that ends early leaves the rest unanswered. A command that only the
-    recorder lost, by its number, does not count.
+    late (k, 2): when the other states, and the next ones, were sent [ns]. The first state is the first that is
+    answered. A run that ends early leaves the rest unanswered. A command that only the recorder lost does not count.
     """
-    seen = states[states[:, 0] >= commands[0, 0]][: STATES + 1]
-    early, spans = in_time(seen, commands), np.column_stack([seen[:-1, 1], seen[1:, 1]])
-    within = commands[commands[:, 0] <= seen[-1, 0]]
-    lost = int(within[-1, 2] - within[0, 2]) + 1 - len(within) if within[-1, 2] > 0 else 0
-    next_effort = np.searchsorted(commands[:, 1], spans[:, 0])
-    waits = commands[np.minimum(next_effort, len(commands) - 1), 1] - spans[:, 0]
-    return 100 * min(1.0, early.sum() / (STATES - lost)), 1e-6 * float(waits.max()), spans[~early]
+    sent, sending = run.sent[: STATES + 1], commands.publish_time
+    answered, spans = run.answered[: len(sent) - 1], np.column_stack([sent[:-1], sent[1:]])
+    early = (answered >= 0) & (answered < sent[1:])
+    waits = sending[np.minimum(np.searchsorted(sending, sent[:-1]), len(sending) - 1)] - sent[:-1]
+    share = early.sum() / (STATES - (commands.lost or 0))
+    return 100 * min(1.0, share), 1e-6 * float(waits.max()), spans[~early]

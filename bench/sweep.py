@@ -19,8 +19,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from bench.arm import mujoco_spec
-from bench.figures import Figure
-from bench.measure import one_core
+from bench.figures import Figure, one_core
 from fjr_core import PAPER_GAINS, Sine, TrackingLaw, single_link
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array

@@ -12,8 +12,8 @@ import tempfile
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from envsetup import pins
-from envsetup.commands import PREFIX, SetupError, clean_environment, run
+from envsetup.environment import FILES_ONLY, entries, pins, requirement_name
+from envsetup.machine import PREFIX, SetupError, clean_environment, run
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = tuple(sorted(file.parent.name for file in ROOT.glob("ros2_ws/src/*/setup.py")))
@@ -61,10 +61,9 @@ def copy_sources(target: Path) -> None:
 
 def pin_ros(requirements: Path) -> None:
     """Rewrite a requirements file with the pinned versions of the distributions of ROS 2."""
-    pinned = pins.pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
-    entries = pins.entries(requirements.read_text(encoding="utf-8"))
-    names = [pins.requirement_name(entry) for entry in entries]
-    lines = [f"{e}=={pinned[n]}" if n.startswith("ros-") else e for e, n in zip(entries, names, strict=True)]
+    pinned = pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
+    given = {entry: requirement_name(entry) for entry in entries(requirements.read_text(encoding="utf-8"))}
+    lines = [f"{entry}=={pinned[name]}" if name.startswith("ros-") else entry for entry, name in given.items()]
     requirements.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -77,8 +76,8 @@ def bring_uplot(source: Path) -> None:
     for file in found:
         if file.name in UPLOT_FILES:
             shutil.copy(str(file.locate()), source / TEMPLATES)
-    pages = source / "requirements" / pins.FILES_ONLY
-    kept = [entry for entry in pins.entries(pages.read_text(encoding="utf-8")) if entry != UPLOT]
+    pages = source / "requirements" / FILES_ONLY
+    kept = [entry for entry in entries(pages.read_text(encoding="utf-8")) if entry != UPLOT]
     pages.write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -46,75 +46,62 @@ PREDICTION = {"none": None, "prediction": Robust(delay=PERIOD)}
 OPTION_COLOURS = dict(zip(LOAD, ("black", *COLOURS[:3]), strict=True)) | {"prediction": COLOURS[0]}
 DRAWN_CASES = (1, 3, 5)
 
-
-@dataclass(frozen=True, eq=False)
-class Disturbed:
-    """A loop on a robot that differs from the model of its law, and options to compensate that."""
-
-    text: str
-    scenario: Scenario
-    reference: fjr.Reference
-    deviation: Draws
-    options: Mapping[str, Robust | None]
-
-    def errors(self) -> dict[str, Array]:
-        """Return q_l - q_ld (k, n) [rad] with each option, from the reference or from 0.5 rad at rest."""
-        robot, n = self.scenario.robot, self.scenario.robot.n
-        law = fjr.TrackingLaw(robot, self.scenario.gains, compile=True)
-        q_l, dq_l = self.reference.jets(0.0)[:2]
-        if n == 1 and not isinstance(self.reference, fjr.Hold):
-            q_l, dq_l = np.array([0.5]), np.zeros(1)
-        x0 = robot.state(q_l, q_l + np.linalg.solve(robot.K, robot.grad_P_l(q_l)), dq_l, dq_l)
-        found = {}
-        for name, option in self.options.items():
-            loop = ClosedLoop(robot, sampled_law(law, option), self.reference, x0, SECONDS, PERIOD)
-            run = loop.recorded(self.deviation)[1]
-            found[name] = run.x[0, :, :n] - self.reference.jets(run.t)[:, 0]
-        return found
+Errors = Mapping[str, Array]
+"""q_l - q_ld (k, n) [rad] by option."""
 
 
-def disturbed() -> list[Disturbed]:
-    """Return the cases of the table."""
+def disturbed() -> Iterator[tuple[str, Errors]]:
+    """Yield the cases of the table: robots that differ from the model of their law, with each option against that."""
     joint, planar, arm = map(library.load, ("paper_k31", "two_link", "arm7"))
     slow = fjr.Sine(0.3, 2 * np.pi * 0.2, offset=arm.reference.jets(0.5)[0])
     pushed, heavier, late = Draws(1, link_torque=0.3), Draws(1, link_inertia=1.2), Draws(1, delay=PERIOD)
-    return [
-        Disturbed("`paper_k31` at standstill, 0.3 N m on the link", joint, fjr.Hold([0.5]), pushed, LOAD),
-        Disturbed("`paper_k31` moving, 0.3 N m on the link", joint, joint.reference, pushed, LOAD),
-        Disturbed("`two_link` moving, inertia 20 % larger", planar, planar.reference, heavier, LOAD),
-        Disturbed("`arm7`, 0.3 rad at 0.2 Hz, inertia 20 % larger", arm, slow, heavier, LOAD),
-        Disturbed("the same, weight 20 % larger too", arm, slow, Draws(1, link_inertia=1.2, gravity=1.2), LOAD),
-        *(
-            Disturbed(f"`{each.name}` moving, one sample of delay", each, each.reference, late, PREDICTION)
-            for each in (joint, planar, arm)
-        ),
-    ]
+    loaded = Draws(1, link_inertia=1.2, gravity=1.2)
+    yield "`paper_k31` at standstill, 0.3 N m on the link", errors(joint, pushed, LOAD, fjr.Hold([0.5]))
+    yield "`paper_k31` moving, 0.3 N m on the link", errors(joint, pushed, LOAD)
+    yield "`two_link` moving, inertia 20 % larger", errors(planar, heavier, LOAD)
+    yield "`arm7`, 0.3 rad at 0.2 Hz, inertia 20 % larger", errors(arm, heavier, LOAD, slow)
+    yield "the same, weight 20 % larger too", errors(arm, loaded, LOAD, slow)
+    for each in (joint, planar, arm):
+        yield f"`{each.name}` moving, one sample of delay", errors(each, late, PREDICTION)
+
+
+def errors(
+    scenario: Scenario, deviation: Draws, options: Mapping[str, Robust | None], motion: fjr.Reference | None = None
+) -> Errors:
+    """Return the errors of a robot with each option, from the reference; a moving single joint from 0.5 rad at rest."""
+    robot, n, reference = scenario.robot, scenario.robot.n, motion or scenario.reference
+    law = fjr.TrackingLaw(robot, scenario.gains, compile=True)
+    q_l, dq_l = ([0.5], [0.0]) if n == 1 else reference.jets(0.0)[:2]
+    x0 = robot.state(q_l, q_l + np.linalg.solve(robot.K, robot.grad_P_l(q_l)), dq_l, dq_l)
+    found = {}
+    for name, option in options.items():
+        loop = ClosedLoop(robot, sampled_law(law, option), reference, x0, SECONDS, PERIOD)
+        run = loop.recorded(deviation)[1]
+        found[name] = run.x[0, :, :n] - reference.jets(run.t)[:, 0]
+    return found
 
 
 def robust() -> None:
     """Write the RMS of q_l - q_ld [mrad] without and with each option, and draw the errors of three cases."""
-    found = [(case, case.errors()) for case in tqdm(disturbed(), desc="robust")]
-    rows = []
-    for case, errors in found:
-        plain, *left = (1e3 * float(np.sqrt(np.mean(e[round(SETTLED / PERIOD) :] ** 2))) for e in errors.values())
-        for name, rms in zip(list(errors)[1:], left, strict=True):
-            rows.append(
-                (case.text, number(plain, digits=2), name, number(rms, digits=2), f"{min(plain / rms, 1e6):.3g}")
-            )
+    found, rows = list(tqdm(disturbed(), desc="robust")), []
+    for text, with_options in found:
+        settled = (e[round(SETTLED / PERIOD) :] for e in with_options.values())
+        plain, *left = (1e3 * float(np.sqrt(np.mean(e**2))) for e in settled)
+        for name, rms in zip(list(with_options)[1:], left, strict=True):
+            rows.append((text, number(plain, digits=2), name, number(rms, digits=2), f"{min(plain / rms, 1e6):.3g}"))
     head = ("disturbance", "error without, mrad", "option", "error with, mrad", "ratio")
     put("robust.md", "robust", markdown(head, rows))
     write_picture(PICTURE, (12.0, 3.8), partial(draw, [found[i] for i in DRAWN_CASES]))
 
 
-def draw(found: Sequence[tuple[Disturbed, Mapping[str, Array]]], figure: Figure) -> None:
+def draw(found: Sequence[tuple[str, Errors]], figure: Figure) -> None:
     """Draw the largest error of the joints over time, with each option."""
-    for ax, (case, errors) in zip(figure.subplots(1, len(found)), found, strict=True):
-        for name, e in errors.items():
-            t = PERIOD * np.arange(len(e))
-            ax.semilogy(
-                t[1:], np.maximum(1e3 * np.abs(e[1:]).max(axis=1), 1e-9), color=OPTION_COLOURS[name], label=name, lw=1.0
-            )
-        ax.set_title(case.text.replace("`", ""), fontsize=9)
+    for ax, (text, with_options) in zip(figure.subplots(1, len(found)), found, strict=True):
+        for name, e in with_options.items():
+            largest = np.maximum(1e3 * np.abs(e[1:]).max(axis=1), 1e-9)
+            t = PERIOD * np.arange(1, len(e), dtype=float)
+            ax.semilogy(t, largest, color=OPTION_COLOURS[name], label=name, lw=1.0)
+        ax.set_title(text.replace("`", ""), fontsize=9)
         ax.set_xlabel("t [s]")
         ax.set_ylim(bottom=LEAST)
         ax.legend(fontsize=8, loc="best")

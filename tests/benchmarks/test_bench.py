@@ -20,9 +20,8 @@ import bench.__main__ as command
 from bench import bare, build, figures, identification_peers, memory, nodes, real_time, sweep
 from bench.arm import arm7, forward_dynamics, random_motion, rigid_arm7
 from bench.build import chain_urdf, joint_names
-from bench.figures import Figure, kept, page, placed, put, table
-from bench.measure import in_turns, ratio
-from bench.tap import Seen, Tap
+from bench.figures import Figure, in_turns, kept, page, placed, put, ratio, table
+from bench.nodes import Seen, Tap
 from fjr_core import TrackingLaw, robot_from_urdf
 from fjr_core.monitoring.certificate import Certificate
 from fjr_msgs_py import names

@@ -14,10 +14,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from envsetup import cli, commands, machine, pins
-from envsetup.commands import SetupError
-from envsetup.machine import has_wheels, uses_sourced_ros
-from envsetup.virtualenv import Environment
+from envsetup import cli, environment, machine
+from envsetup.environment import Environment
+from envsetup.machine import SetupError, has_wheels, uses_sourced_ros
 from envsetup.workspace import Workspace
 from time_limits import HANG
 
@@ -86,30 +85,30 @@ def test_a_sourced_jazzy_is_used_on_any_machine_and_wheels_only_where_they_exist
 
 def test_every_direct_requirement_is_pinned_once_and_only_tests_and_benchmarks_require_pinocchio() -> None:
     text = (ROOT / "constraints.txt").read_text()
-    pinned = pins.pins(text)
-    assert len(pins.entries(text)) == len(pinned)
+    pinned = environment.pins(text)
+    assert len(environment.entries(text)) == len(pinned)
     for file in (ROOT / "requirements").glob("*.txt"):
-        for entry in pins.entries(file.read_text()):
-            assert pins.requirement_name(entry) in pinned, f"{entry} of {file.name}"
+        for entry in environment.entries(file.read_text()):
+            assert environment.requirement_name(entry) in pinned, f"{entry} of {file.name}"
     assert {"numpy", "scipy", "casadi", "ros-jazzy-rclpy", "mcap", "rosbags"} <= required("run")
     assert "matplotlib" not in required("run")
-    for level in pins.LEVELS:
+    for level in environment.LEVELS:
         assert ("pin" in required(level)) == (level in ("test", "bench"))
         assert "pin" not in required(level, wheels=False)  # its wheels need NumPy 2
 
 
 def required(level: str, wheels: bool = True) -> set[str]:
     """Return the distributions that a level requires by name."""
-    files = pins.requirement_files(ROOT, level, wheels)
-    return {pins.requirement_name(entry) for file in files for entry in pins.entries(file.read_text())}
+    files = environment.requirement_files(ROOT, level, wheels)
+    return {environment.requirement_name(entry) for file in files for entry in environment.entries(file.read_text())}
 
 
 def test_packages_of_a_sourced_ros_are_kept_and_test_tools_pinned() -> None:
     pinned = {"numpy": "2.2.6", "scipy": "1.15.3", "casadi": "3.8.2", "pytest": "9.2.0", "lark": "1.0"}
     installed = {"numpy": "1.26.4", "scipy": "1.11.4", "pytest": "7.4.4", "lark": "1.10"}
-    lines = pins.relaxed(pinned, installed, {"pytest"})
+    lines = environment.relaxed(pinned, installed, {"pytest"})
     assert lines == ["numpy==1.26.4", "scipy<=1.15.3", "casadi==3.8.2", "pytest==9.2.0", "lark<=1.10"]
-    assert pins.relaxed(pinned, {})[0] == "numpy<2"
+    assert environment.relaxed(pinned, {})[0] == "numpy<2"
 
 
 @pytest.fixture
@@ -266,7 +265,7 @@ def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
 def test_a_command_shows_its_latest_line_and_one_that_fails_its_last_ones(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(commands, "BEAT", 0.02)
+    monkeypatch.setattr(machine, "BEAT", 0.02)
     log, go_on = tmp_path / "log", tmp_path / "go on"
     waiting = f"echo reading; while [ ! -e '{go_on}' ]; do sleep 0.01; done; echo lost; exit 3"
 
@@ -275,23 +274,23 @@ def test_a_command_shows_its_latest_line_and_one_that_fails_its_last_ones(
             go_on.write_text("")
         print(text, passing)
 
-    monkeypatch.setattr(commands, "say", say)
+    monkeypatch.setattr(machine, "say", say)
     with pytest.raises(SetupError, match=r"no tool \(exit code 3; the whole output is in .*log\)") as caught:
-        commands.run("tool", ["sh", "-c", waiting], log, dict(os.environ), "no tool")
+        machine.run("tool", ["sh", "-c", waiting], log, dict(os.environ), "no tool")
     first, *_, last = capsys.readouterr().out.splitlines()
     assert (first, last.startswith("tool ... failed after ")) == ("tool ... True", True)
     assert caught.value.details.splitlines()[-2:] == ["reading", "lost"]
     with pytest.raises(SetupError, match="no tool: "):
-        commands.run("tool", [str(tmp_path / "none")], log, dict(os.environ), "no tool")
+        machine.run("tool", [str(tmp_path / "none")], log, dict(os.environ), "no tool")
 
 
 def test_damaged_stamp_is_ignored(tmp_path: Path) -> None:
     stamp = tmp_path / "stamp.json"
-    assert pins.read_stamp(stamp) == {}
-    pins.write_stamp(stamp, {"identity": ["here"]})
-    assert pins.read_stamp(stamp) == {"identity": ["here"]}
+    assert environment.read_stamp(stamp) == {}
+    environment.write_stamp(stamp, {"identity": ["here"]})
+    assert environment.read_stamp(stamp) == {"identity": ["here"]}
     stamp.write_text(stamp.read_text()[:-3])
-    assert pins.read_stamp(stamp) == {}
+    assert environment.read_stamp(stamp) == {}
 
 
 def test_check_names_the_choice_and_changes_nothing(tmp_path: Path) -> None:

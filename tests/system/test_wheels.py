@@ -17,7 +17,7 @@ from zipfile import ZipFile
 import pytest
 
 from build_wheels import PACKAGES, build
-from envsetup import pins
+from envsetup import environment
 from fjr_monitor.report.html import SCRIPT, STYLE, TEMPLATES
 from time_limits import HANG
 
@@ -62,7 +62,7 @@ def top_level_imports(folder: Path) -> set[str]:
 def test_fjr_core_requires_what_it_imports(wheels: dict[str, Path]) -> None:
     always, extra = requirements(wheels["fjr_core"])
     imports = top_level_imports(ROOT / "ros2_ws" / "src" / "fjr_core" / "fjr_core")
-    required = {pins.requirement_name(each) for each in always}
+    required = {environment.requirement_name(each) for each in always}
     assert required == {DISTRIBUTIONS.get(name, name) for name in imports} - {"matplotlib", "pyarrow"}
     assert {re.sub(r".*extra == [\"'](\w+)[\"']", r"\1", each) for each in extra} == {
         "sweep",
@@ -79,15 +79,15 @@ def test_fjr_holds_the_files_of_all_packages_and_requires_what_they_do(wheels: d
     assert held == set().union(*(contents(wheels[name]) for name in PACKAGES)) - {"prefix/bin/fjr"}  # pip writes it
     assert {f"fjr_monitor/{TEMPLATES}/{name}" for name in (SCRIPT, STYLE)} <= held  # of uPlot, without its wheel
     always, extra = requirements(wheels["fjr"])
-    required = {pins.requirement_name(each): each for each in always}
-    pinned = pins.pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
+    required = {environment.requirement_name(each): each for each in always}
+    pinned = environment.pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
     ros = [name for name in required if name.startswith("ros-")]
     assert len(ros) == 2
     assert all(required[name].endswith(f"=={pinned[name]}") for name in ros)
     assert required.keys().isdisjoint({"uplot-python", "ipython", "ziglang", "pyarrow"})
     assert "jupyter-threejs-sage" in required
     for name, distribution in (("compiler", "ziglang"), ("tables", "pyarrow")):  # large: only with an extra
-        assert [pins.requirement_name(each) for each in extra if f'"{name}"' in each] == [distribution]
+        assert [environment.requirement_name(each) for each in extra if f'"{name}"' in each] == [distribution]
 
 
 @pytest.fixture(scope="module")

@@ -175,8 +175,11 @@ SLOWER = (("paper_k31", 250.0), ("two_link", 200.0), ("arm7", 400.0))  # Hz, sta
 
 def cases(seed: int = VALIDATION_SEED) -> list[Case]:
     """Return all labelled runs of a seed."""
-    rng = np.random.default_rng(seed)
-    return [replace(case, start=start_of(case.scenario, rng)) for case in _cases(1000 * seed)]
+    rng, rates = np.random.default_rng(seed), (*RATES, *SLOWER)
+    found = [Case(f"{name} healthy", name, HOLDING) for name in JOINTS]
+    found += [Case(f"{name} at {rate:g} Hz", name, "sampling", {"publish_rate": rate}) for name, rate in rates]
+    found += [Case(f"{name} {text}", name, "model mismatch", robot=robot) for text, name, robot in OTHER_ROBOTS]
+    return [replace(case, start=start_of(case.scenario, rng)) for case in (*found, *_nonideal(1000 * seed))]
 
 
 def start_of(name: str, rng: np.random.Generator) -> dict[str, list[float]]:
@@ -185,14 +188,6 @@ def start_of(name: str, rng: np.random.Generator) -> dict[str, list[float]]:
         return {}
     q_l = STARTS[name] + rng.uniform(-0.1, 0.1, JOINTS[name])
     return {"initial_link_position": q_l.tolist(), "initial_motor_position": q_l.tolist()}
-
-
-def _cases(seed: int) -> list[Case]:
-    found = [Case(f"{name} healthy", name, HOLDING) for name in JOINTS]
-    rates = (*RATES, *SLOWER)
-    found += [Case(f"{name} at {rate:g} Hz", name, "sampling", {"publish_rate": rate}) for name, rate in rates]
-    found += [Case(f"{name} {text}", name, "model mismatch", robot=robot) for text, name, robot in OTHER_ROBOTS]
-    return [*found, *_nonideal(seed)]
 
 
 def _nonideal(seed: int) -> Iterator[Case]:

@@ -78,8 +78,8 @@ def table(pairs: Iterable[tuple[str, str]], rows: Sequence[str] = NAMES) -> list
     return markdown(("label", *columns), [(name, *row) for name, row in zip(rows, cells, strict=True)])
 
 
-def causes_of(seed: int) -> list[str]:
-    """Return the tables of causes and of grades of the set of a seed."""
+def causes_of(heading: str, seed: int) -> list[str]:
+    """Return the tables of causes and of grades of the set of a seed, below a heading."""
     causes, grades = [], []
     with tempfile.TemporaryDirectory(prefix="fjr-diagnoses-") as folder:
         for i, case in enumerate(cases.cases(seed)):
@@ -88,7 +88,8 @@ def causes_of(seed: int) -> list[str]:
             grades.append((wanted.grade, verdict.kind))
             if not right(wanted, verdict):
                 print(f"seed {seed}: {case.name}: {wanted}, not {verdict.sentence}", file=sys.stderr)
-    return [*table(causes), "", *table(grades, (HOLDING, DEGRADED, UNDECIDED, VIOLATED))]
+    of_grades = table(grades, (HOLDING, DEGRADED, UNDECIDED, VIOLATED))
+    return [f"{heading} (seed {seed}):", "", *table(causes), "", *of_grades]
 
 
 class Outcome(NamedTuple):
@@ -114,9 +115,9 @@ def outcome(case: Case) -> Outcome:
     return Outcome(case.kind, said.findings[0].kind, said.findings[0].joint == joints_of(case))
 
 
-def faults_of(seed: int) -> list[str]:
-    """Return the table of the set of a seed, with the count of right joints, below the shares of right findings."""
-    outcomes = []
+def faults_table() -> list[str]:
+    """Return the table of the validation set, with the count of right joints, below the shares of right findings."""
+    outcomes, seed = [], faults.VALIDATION_SEED
     for case in faults.cases(seed):
         outcomes.append(result := outcome(case))
         if result.kind != result.found or not result.joint:
@@ -132,7 +133,8 @@ def faults_of(seed: int) -> list[str]:
     alone, named, joint = 100 * np.mean(right, axis=0)
     kinds = f"kind right in {alone:.1f} % alone, in {named:.1f} % alone or beside others"
     said = f"{len(faulty)} faulty runs: {kinds}, joint in {joint:.1f} %."
-    return [said, "", *markdown(("label", *(SHORT.get(each, each) for each in columns), "joint right"), rows)]
+    head = "label", *(SHORT.get(each, each) for each in columns), "joint right"
+    return [f"Validation set (seed {seed}):", "", said, "", *markdown(head, rows)]
 
 
 def wiring() -> list[str]:
@@ -200,18 +202,13 @@ def foreign_table() -> list[str]:
     return markdown(("fault", "runs", right_kind, "joint right", "holding", beyond), found)
 
 
-def of_seed(heading: str, seed: int, lines: Callable[[int], list[str]]) -> list[str]:
-    """Return the lines of a table below its heading."""
-    return [f"{heading} (seed {seed}):", "", *lines(seed)]
-
-
 TABLES: dict[str, Callable[[], list[str]]] = {
     "causes": lambda: [
-        *of_seed("Validation set", cases.VALIDATION_SEED, causes_of),
+        *causes_of("Validation set", cases.VALIDATION_SEED),
         "",
-        *of_seed("Set on which the thresholds were tuned", cases.TUNING_SEED, causes_of),
+        *causes_of("Set on which the thresholds were tuned", cases.TUNING_SEED),
     ],
-    "faults": lambda: of_seed("Validation set", faults.VALIDATION_SEED, faults_of),
+    "faults": faults_table,
     "wiring": wiring,
     "alarms": alarms,
     "foreign": foreign_table,

@@ -80,42 +80,33 @@ def healthy(scenario: str, seed: int) -> Case:
         for key in keys
         if (values := loaded.plant_values.get(f"robot.{key}")) is not None
     }
-    changes = {"seed": seed, **_sensors(scenario, rng), **_loads(scenario, rng), **_lateness(loaded.robot.n, rng)}
+    changes = _imperfections(scenario, rng)
     case = Case(f"{scenario} healthy {seed}", scenario, HEALTHY, {}, robot, _initial(scenario, loaded, rng))
-    return case.imperfect(**changes)
+    return case.imperfect(seed=seed, **changes)
 
 
-def _sensors(scenario: str, rng: np.random.Generator) -> dict[str, Any]:
+def _imperfections(scenario: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Draw what sensors, friction, loads and messages of a healthy robot are like."""
     n, (position, velocity) = JOINTS[scenario], 10 ** rng.uniform((-7, -4), (-3, -1))  # rad, rad/s
-    changes = {name: [float(position if "position" in name else velocity)] * n for name in NOISE}
+    drawn: dict[str, Any] = {name: [float(position if "position" in name else velocity)] * n for name in NOISE}
     if rng.random() < 0.4:
-        bits = [float(rng.integers(14, 24))] * n
-        changes.update(link_encoder_bits=bits, motor_encoder_bits=bits)
-    return changes
-
-
-def _loads(scenario: str, rng: np.random.Generator) -> dict[str, Any]:
-    n, changes = JOINTS[scenario], {}
+        drawn |= dict.fromkeys(("link_encoder_bits", "motor_encoder_bits"), [float(rng.integers(14, 24))] * n)
     if rng.random() < 0.5:
         friction = (rng.uniform(0, 0.1) * np.array(TORQUE[scenario])).tolist()
-        changes = {"link_coulomb_friction": friction, "motor_coulomb_friction": friction}
-        changes.update({"friction_smoothing_velocity": [0.05] * n} if scenario == "arm7" else {})
+        drawn |= {"link_coulomb_friction": friction, "motor_coulomb_friction": friction}
+        drawn |= {"friction_smoothing_velocity": [0.05] * n} if scenario == "arm7" else {}
     if rng.random() < 0.5:
-        changes.update(payload_mass=float(rng.uniform(0, HEAVIEST[scenario])), payload_position=PLACE[n > 2])
+        drawn |= {"payload_mass": float(rng.uniform(0, HEAVIEST[scenario])), "payload_position": PLACE[n > 2]}
     if rng.random() < 0.1 and scenario in LIMITS:
-        changes["effort_limit"] = [LIMITS[scenario]] * n
-    return changes
-
-
-def _lateness(n: int, rng: np.random.Generator) -> dict[str, Any]:
-    drawn: dict[str, tuple[float, Any]] = {
+        drawn["effort_limit"] = [LIMITS[scenario]] * n
+    late = {  # share of the robots, and the value
         "state_delay": (0.6, float(rng.uniform(0, 2e-3))),
         "command_delay": (0.6, float(rng.uniform(0, 1e-3))),
         "actuator_lag": (0.2, [float(rng.uniform(0, 2.5e-3))] * n),
         "state_loss": (0.2, 0.1),
         "period_jitter": (0.2, 3e-4),
     }
-    return {key: value for key, (share, value) in drawn.items() if rng.random() < share}
+    return drawn | {name: value for name, (share, value) in late.items() if rng.random() < share}
 
 
 def _initial(scenario: str, loaded: Scenario, rng: np.random.Generator) -> dict[str, list[float]]:

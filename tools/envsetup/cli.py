@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line of the set-up: `setup_env.py build|test|bench|docs|lint|check`."""
+"""Set the workspace up from nothing.
+
+build, test, bench, docs: environment to run, test, measure or build the documents, and the colcon build
+lint: environment to test, no build
+check: show which Python and ROS 2 would be used; change nothing
+"""
 
 from __future__ import annotations
 
@@ -11,33 +16,24 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from envsetup.commands import PREFIX, SetupError, say
-from envsetup.machine import base_interpreter, compiler, extras, ros_interpreter, uses_sourced_ros
-from envsetup.virtualenv import Environment
+from envsetup import machine
+from envsetup.environment import Environment
+from envsetup.machine import PREFIX, SetupError, say
 from envsetup.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parents[2]
 LEVELS = {"build": "run", "test": "test", "bench": "bench", "docs": "docs", "lint": "test", "check": ""}
-"""Level of the environment (see pins.LEVELS) by target."""
-TARGETS = "\n".join(
-    (
-        "Set the workspace up from nothing.",
-        "",
-        "  build, test, bench, docs: environment to run, test, measure or build the documents, and the colcon build",
-        "  lint: environment to test, no build",
-        "  check: show which Python and ROS 2 would be used; change nothing",
-    )
-)
+"""Level of the environment (see environment.LEVELS) by target."""
 
 
 def main(arguments: Sequence[str]) -> int:
     """Set up a target; return 0, or 1 with one sentence on stderr on failure."""
     raw = argparse.RawTextHelpFormatter
-    parser = argparse.ArgumentParser(prog="setup_env.py", description=TARGETS, formatter_class=raw)
+    parser = argparse.ArgumentParser(prog="setup_env.py", description=__doc__, formatter_class=raw)
     parser.add_argument("target", choices=LEVELS, metavar="|".join(LEVELS))
     target = parser.parse_args(arguments).target
     try:
-        sourced_ros = uses_sourced_ros()
+        sourced_ros = machine.uses_sourced_ros()
         if sourced_ros:
             enter_ros_interpreter()
         set_up(target, sourced_ros)
@@ -55,7 +51,7 @@ def set_up(target: str, sourced_ros: bool) -> None:
     environment = Environment(ROOT, sourced_ros)
     if target == "check":
         source = "the sourced one" if sourced_ros else "wheels"
-        say(f"Python {sys.version.split()[0]} ({base_interpreter()}), ROS 2 Jazzy: {source}")
+        say(f"Python {sys.version.split()[0]} ({machine.base_interpreter()}), ROS 2 Jazzy: {source}")
         say(f"environment {environment.path}")
         return
     say(f"checking {environment.path.name}")
@@ -63,17 +59,17 @@ def set_up(target: str, sourced_ros: bool) -> None:
         environment.ensure(LEVELS[target])
         if target != "lint":
             log, python = ROOT / ".setup" / "extras.log", environment.python
-            if not compiler(environment.env, python).ensure(log, environment.env):
+            if not machine.compiler(environment.env, python).ensure(log, environment.env):
                 environment.add_compiler()
-            for extra in extras(target, python, sourced_ros):
+            for extra in machine.extras(target, python, sourced_ros):
                 extra.ensure(log, environment.env)
             Workspace(environment).ensure()
 
 
 def enter_ros_interpreter() -> None:
     """Continue in the Python of the sourced ROS 2 if it is another one."""
-    python = ros_interpreter()
-    if python != base_interpreter() and not os.environ.get("FJR_SETUP_ENTERED"):
+    python = machine.ros_interpreter()
+    if python != machine.base_interpreter() and not os.environ.get("FJR_SETUP_ENTERED"):
         sys.stdout.flush()
         os.execvpe(python, [python, *sys.argv], {**os.environ, "FJR_SETUP_ENTERED": "1"})
 

@@ -11,15 +11,15 @@ import re
 import shutil
 from pathlib import Path
 
-from envsetup import pins
-from envsetup.commands import run
-from envsetup.virtualenv import Environment
+from envsetup.environment import Environment, fingerprint, read_stamp, texts, write_stamp
+from envsetup.machine import run
 
 COPIED = {"setup.py", "setup.cfg", "package.xml"}
 """Files whose contents enter the build."""
 OTHER = re.compile(r"build|\..*|__pycache__.*|.*(\.egg-info|\.pyc|~)", re.DOTALL)
 """Names of files and folders that belong to no package."""
 COLCON = "import sys; from colcon_core.command import main; sys.exit(main())"
+OPTIONS = ("build", "--symlink-install", "--base-paths", "src", "--event-handlers")
 EVENTS = ("console_cohesion+", "desktop_notification-", "terminal_title-", "status-")
 
 UNQUOTED = re.compile(r"^(_colcon\w*_COLCON_CURRENT_PREFIX=)(/.*)$", re.MULTILINE)
@@ -39,19 +39,19 @@ class Workspace:
     def ensure(self) -> None:
         """Build anew unless the last build is up to date."""
         wanted = {"content": self.content()}
-        if pins.read_stamp(self._stamp) == wanted and (self.path / "build").is_dir():
+        if read_stamp(self._stamp) == wanted and (self.path / "build").is_dir():
             return
         for folder in ("build", "install", "log"):
             shutil.rmtree(self.path / folder, ignore_errors=True)
         self._build()
-        pins.write_stamp(self._stamp, wanted)
+        write_stamp(self._stamp, wanted)
 
     def content(self) -> str:
         """Return the fingerprint of environment and packages: list of files, and contents that colcon reads."""
         files = source_files(self.path / "src")
         contents = {str(path): path.read_text(encoding="utf-8") for path in files if path.name in COPIED}
         identity = [str(self.path), *self.environment.identity()]
-        return pins.fingerprint(identity, [str(path) for path in files], contents, pins.texts([Path(__file__)]))
+        return fingerprint(identity, [str(path) for path in files], contents, texts([Path(__file__)]))
 
     def _build(self) -> None:
         """Run colcon in the Python of the environment, which becomes the interpreter of the nodes.
@@ -61,17 +61,7 @@ class Workspace:
         python, env = str(self.environment.python), self.environment.env
         log = self.environment.root / ".setup" / "colcon.log"
         log.unlink(missing_ok=True)
-        colcon = [
-            python,
-            "-c",
-            COLCON,
-            "build",
-            "--symlink-install",
-            "--base-paths",
-            "src",
-            "--event-handlers",
-            *EVENTS,
-        ]
+        colcon = [python, "-c", COLCON, *OPTIONS, *EVENTS]
         run("colcon build of ros2_ws", colcon, log, env, "colcon could not build ros2_ws", cwd=self.path)
         quote_paths(self.install)
         folders = [str(file.parent) for file in sorted((self.path / "src").glob("*/*/__init__.py"))]
