@@ -56,13 +56,20 @@ def is_quiet(browser: Browser) -> None:
     assert [url for url in browser.asked if not url.startswith(("file:", "data:"))] == []
 
 
-@pytest.mark.parametrize(("name", "dark"), [*zip(SCENARIOS, (False, True, True, False), strict=True)])
+@pytest.mark.parametrize(
+    ("name", "dark"),
+    [
+        ("paper_k31", False),
+        ("two_link", True),
+        *(pytest.param(*each, marks=pytest.mark.full) for each in (("paper_k3p1", True), ("arm7", False))),
+    ],
+)
 def test_the_small_page_of_every_scenario_draws_all_its_plots_and_the_arm(
     pages: Path, browser: Browser, name: str, dark: bool
 ) -> None:
     page = pages / name / "report.html"
     assert page.stat().st_size < LARGEST
-    browser.open(page, dark=dark)
+    browser.open(page, **SMALL, dark=dark)
     browser.is_sound()
     count = browser.value(PIXELS)
     assert 0.01 < count["opaque"] / count["all"] < 0.5
@@ -180,7 +187,7 @@ KINEMATICS = {  # URDF, positions of the joints that move, of those that do not,
 }
 
 
-@pytest.mark.parametrize("name", KINEMATICS)
+@pytest.mark.parametrize("name", [pytest.param("arm7", marks=pytest.mark.full), "every kind of joint"])
 def test_the_links_are_posed_as_by_forward_kinematics(pages: Path, browser: Browser, name: str) -> None:
     urdf, moving, locked, q = KINEMATICS[name]
     browser.open(pages / "paper_k31" / "report.html", **SMALL)  # any has the code
