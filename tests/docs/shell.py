@@ -11,8 +11,12 @@ from collections.abc import Iterator
 from fjr_msgs_py.console.ending import Exit
 
 RECORDING = ("run", "demo")
-ONE_CORE = ["--cores", "1"]  # for `fjr compare`, which imports everything again in a process for each core
 SHORT = "0.2"  # s of stamped time for recording commands
+SMALLER = {
+    "compare": ("--cores", "1"),  # it imports everything again in a process for each core
+    "tune": ("--candidates", "6", "--draws", "4", "--fresh", "8"),
+}
+"""Options with which a command does the same sooner, unless it has the first of them."""
 JUDGED = (Exit.VIOLATED, Exit.LATE)  # with which a recording command may end, depending on the machine
 SHELL = re.compile(r"[|&<>$*?~`]")  # what a shell replaces or interprets
 
@@ -94,9 +98,10 @@ def _shortened(command: str) -> str:
 
 
 def _shorter(command: list[str]) -> list[str]:
-    """Return options that spare time: a short recording, no page of so short a run, one process of a comparison."""
-    if command[1] == "compare" and "--cores" not in command:
-        return ONE_CORE
+    """Return options that spare time: those of SMALLER, or a short recording without a page of so short a run."""
+    if command[1] in SMALLER:
+        options = SMALLER[command[1]]
+        return [] if options[0] in command else [*options]
     if command[1] not in RECORDING or "--duration" in command:
         return []
     return ["--duration", SHORT, *(["--no-report"] if command[1] == "run" and "--no-report" not in command else [])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -112,16 +113,19 @@ def modules(package: str) -> Iterator[tuple[str, Path]]:
         yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), file
 
 
-def imported(name: str, file: Path) -> Iterator[str]:
-    """Yield the dotted names that a module imports, including names imported from a package."""
+@cache
+def imported(name: str, file: Path) -> list[str]:
+    """Return the dotted names that a module imports, including names imported from a package."""
     package = name.split(".") if file.stem == "__init__" else name.split(".")[:-1]
+    found: list[str] = []
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else []
             module = ".".join([*base, *([node.module] if node.module else [])])
-            yield from (f"{module}.{alias.name}" for alias in node.names)
+            found += (f"{module}.{alias.name}" for alias in node.names)
+    return found
 
 
 def upwards(layers: tuple[str, ...], importer: str, name: str) -> str | None:
@@ -168,19 +172,18 @@ def test_every_module_has_a_layer(package: str) -> None:
     assert {name for entry in LAYERS[package] for name in entry.split()} == tops
 
 
+def size(file: Path) -> int:
+    return len(file.read_text(encoding="utf-8").splitlines())
+
+
 @pytest.mark.parametrize("package", BUDGETS)
 def test_a_package_keeps_its_budget(package: str) -> None:
-    lines = sum(len(file.read_text(encoding="utf-8").splitlines()) for _, file in modules(package))
-    assert lines <= BUDGETS[package]
+    assert sum(size(file) for _, file in modules(package)) <= BUDGETS[package]
 
 
 def test_a_module_is_one_subject() -> None:
-    sizes = {
-        name: len(file.read_text(encoding="utf-8").splitlines())
-        for package in BUDGETS
-        for name, file in modules(package)
-        if file.stem not in SHORT | {"__init__"}
-    }
+    divided = ((name, file) for package in BUDGETS for name, file in modules(package))
+    sizes = {name: size(file) for name, file in divided if file.stem not in SHORT | {"__init__"}}
     assert {name: lines for name, lines in sizes.items() if not SUBJECT[0] <= lines <= SUBJECT[1]} == {}
 
 

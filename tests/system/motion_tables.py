@@ -50,7 +50,6 @@ class MotionTable:
     t: Array
     signals: Mapping[str, Array]
     truth: Mapping[str, Array] = field(default_factory=dict)
-    robot: str = ""  # more lines of the robot file
 
     def of(self, *names: str) -> MotionTable:
         """Return the table with the effort and these signals only; without motors, times count from the links."""
@@ -102,9 +101,7 @@ class MotionTable:
         n, (K, B) = len(self.joints), PRIOR[len(self.joints)]
         values = f"joint_stiffness: {K}\n      motor_inertia: {B}\n"
         guesses = f"      guesses: {{joint_stiffness: {K}, motor_inertia: {B}}}\n"
-        (folder / "arm.yaml").write_text(
-            f"/**:\n  ros__parameters:\n    {ROBOTS[n]}      {values}{guesses}{self.robot}"
-        )
+        (folder / "arm.yaml").write_text(f"/**:\n  ros__parameters:\n    {ROBOTS[n]}      {values}{guesses}")
         files = {"": "motion.csv", "--robot": "arm.yaml", "--map": "map.yaml", "--output": "out"}
         return ["identify", *(part for key, name in files.items() for part in (key, str(folder / name)) if part)]
 
@@ -127,7 +124,7 @@ def one_joint() -> MotionTable:
 @cache
 def two_joints() -> MotionTable:
     """Return the record of the planar arm."""
-    return _planar(recorded(), ElasticTwoLink())
+    return _planar(recorded())
 
 
 @cache
@@ -136,23 +133,16 @@ def shoulder_at_rest() -> MotionTable:
 
     The noise of the sensors hides what the coupling of the joints tells about the shoulder.
     """
-    table, random = _planar(recorded(1.2, (0.0, 0.03)), ElasticTwoLink()), np.random.default_rng(8)
+    table, random = _planar(recorded(1.2, (0.0, 0.03))), np.random.default_rng(8)
     noise = {"effort": 0.0, "link": 2e-5, "motor": 2e-5, "torque": 4e-3}  # rad, N m
     late = table.rows(slice(75, None))
     noisy = {name: each + noise[name] * random.standard_normal(each.shape) for name, each in late.signals.items()}
     return replace(late, signals=noisy)
 
 
-@cache
-def two_joints_without_gravity() -> MotionTable:
-    """Return a record of the planar arm in a horizontal plane."""
-    arm = ElasticTwoLink(g=0.0)
-    return replace(_planar(recorded(3.0, arm=arm), arm), robot="      gravity: 0.0\n")
-
-
-def _planar(found: Recorded, arm: ElasticTwoLink) -> MotionTable:
+def _planar(found: Recorded) -> MotionTable:
     signals = [found.u, found.link, found.motor, found.torque]
-    return _table(("shoulder", "elbow"), found.dt * np.arange(len(found.u)), signals, arm)
+    return _table(("shoulder", "elbow"), found.dt * np.arange(len(found.u)), signals, ElasticTwoLink())
 
 
 def _table(joints: tuple[str, ...], t: Array, signals: list[Array], arm: object) -> MotionTable:
@@ -162,5 +152,6 @@ def _table(joints: tuple[str, ...], t: Array, signals: list[Array], arm: object)
     truth["friction_smoothing_velocity"] = np.full(len(joints), 0.01)  # rad/s
     steps = {name: STEP * np.round(values / STEP) for name, values in (("link", link), ("motor", motor))}
     values = {"effort": effort, **steps, "torque": torque + noise}
-    none = dict.fromkeys(("torque_skew", "actuator_lag", "gear_ratio_error"), np.zeros(len(joints)))
+    friction = ("link_load_friction", "motor_load_friction")
+    none = dict.fromkeys(("torque_skew", "actuator_lag", "gear_ratio_error", *friction), np.zeros(len(joints)))
     return MotionTable(joints, t, values, {**truth, **none})

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,8 @@ def shared_run(factory: pytest.TempPathFactory, name: str) -> Path:
     base = factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"shared_{name}"
     folder.mkdir(exist_ok=True)
-    with (folder / "lock").open("w") as lock:
+    with (folder / "lock").open("w") as lock, pytest.MonkeyPatch.context() as without_pictures:
+        without_pictures.setitem(sys.modules, "matplotlib", None)
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / "finished").exists():
             said = complete_run(name, DURATION[name], folder / "runs")

@@ -40,8 +40,8 @@ QUICK: dict[str, Any] = {
     "robots": {
         "one joint": {"scenario": "paper_k31", "references": {"slow": {}, "fast": {"reference.frequency": [3.0]}}}
     },
-    "duration": 2.0,
-    "settle_after": 1.0,
+    "duration": 1.2,
+    "settle_after": 0.6,
     "imperfections": {"soft": {"stiffness": 0.8}, "noisy": {"noise": 1e-4, "friction": 0.1}},
     "margins": ["stiffness", "delay"],
 }
@@ -314,7 +314,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def alike(page: Path) -> dict[str, Any]:
-    return compared(page.parent, ALIKE, "--cores", "2", "--document", str(page))[0]
+    return compared(page.parent, ALIKE, "--cores", "1", "--document", str(page))[0]
 
 
 def test_every_law_has_its_figures_on_fresh_draws_beside_the_margins(alike: dict[str, Any]) -> None:

@@ -108,6 +108,7 @@ def test_the_report_of_a_healthy_run_is_reproduced_from_its_folder_alone(run: Pa
         return re.sub(r'<p class="origin">.*?</p>', "", (run / "report.html").read_text(), flags=re.DOTALL)
 
     made, before = json.loads((run / "report.json").read_text()), page()
+    assert "package://" not in (run / "scenario.yaml").read_text()
     fjr_here("report", str(run))
     assert json.loads((run / "report.json").read_text()) == made
     assert page() == before

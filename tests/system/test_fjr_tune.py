@@ -30,9 +30,9 @@ tune:
   success: 0.9
   delay_margin: 2.0
   limits: {effort_peak: 27.0}
-  candidates: 40
-  draws: 12
-  fresh: 100
+  candidates: 16
+  draws: 8
+  fresh: 40
 success: {rms: 0.05}
 settle_after: 0.3
 """

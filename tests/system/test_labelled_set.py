@@ -25,12 +25,18 @@ pytestmark = pytest.mark.system
 SET = cases(VALIDATION_SEED)
 
 
+SIDES = re.compile(r"(?<=imperfections\.)(link|motor|state|command)_")
+
+
 def marked() -> Iterator[Any]:
-    """Return the set; further changes of the same parameters are for the full suite alone, but for one stable rate."""
+    """Return the set; the full suite alone has the second level of an imperfection, and that of the other side.
+
+    Of the rates, a stable one is tried, too.
+    """
     tried: Counter[frozenset[str]] = Counter()
     for case in SET:
         stable = {"stable"} if case.changes.get("publish_rate", 0.0) >= 200.0 else set()  # Hz
-        words = frozenset(case.robot or case.changes) | stable
+        words = frozenset(SIDES.sub("", name) for name in case.robot or case.changes) | stable
         yield pytest.param(case, id=case.name, marks=pytest.mark.full if tried[words] else ())
         tried[words] += bool(words)
 

@@ -133,7 +133,7 @@ def test_a_run_with_another_law_is_reported_without_v(summary: RunSummary, tmp_p
     assert any("this law has no certificate" in text.get_text() for text in figure.findobj(Text))
 
 
-@pytest.mark.parametrize("name", [name for name in LAWS if name != "v_dpbc"])
+@pytest.mark.parametrize("name", ["lqr", "active_disturbance"])  # without and with a state; of each: tests/design
 def test_check_reports_another_law_its_gains_and_the_sampled_loop(name: str) -> None:
     said = fjr_here("check", "paper_k31", "--set", f"law.type:={name}")
     for words in (f"{name}: {LAWS[name].title}", "the same bandwidth", "none for this law", "in the whole range"):
