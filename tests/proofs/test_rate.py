@@ -70,7 +70,7 @@ def smallest_rate(law: TrackingLaw) -> float:
 
 
 def test_proven_rates_are_never_above_those_of_an_adversarial_search_and_close_to_them() -> None:
-    laws = [law_of(1 + k % 7, k) for k in range(7)]
+    laws = [law_of(1 + k, k) for k in range(5)]
     proven = np.array([law.proven_rate(goal=0.9, most_boxes=200).beta for law in laws])
     found = np.array([smallest_rate(law) for law in laws])
     assert np.all(proven > 0)

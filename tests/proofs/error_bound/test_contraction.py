@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import fjr_core as fjr
 from bench.build import chain_urdf, joint_names
@@ -40,22 +38,20 @@ def late_runs(law: fjr.TrackingLaw, reference: fjr.Sine, starts: Array, delays: 
     return np.array(states)
 
 
-@settings(max_examples=3, deadline=None, derandomize=True)
-@given(
-    scale=st.floats(0.6, 1.5),
-    stiffness=st.floats(15.0, 60.0),
-    delays=st.sampled_from([(0.0, 0.0), (0.4, 0.4), (0.0, 1.0)]),
-    seed=st.integers(0, 99),
+@pytest.mark.parametrize(
+    ("scale", "stiffness", "delays"),
+    [(0.7, 50.0, (0.4, 0.4)), (1.3, 20.0, (0.0, 1.0))],
+    ids=["a constant delay", "delays that change"],
 )
 def test_pairs_of_motions_in_the_tube_approach_at_the_proven_rate(
-    scale: float, stiffness: float, delays: tuple[float, float], seed: int
+    scale: float, stiffness: float, delays: tuple[float, float]
 ) -> None:
     gains = fjr.Gains(10.0 * scale, 20.0 * scale, 0.6 * scale, 15.0 * scale, 60.0 * scale, 0.3 * scale)
     law = fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), gains)
     found = sampled_contraction(law, FAST_SINE, H, delays)
     assert found is not None
     assert found.rate > 0.5 * law.rate().beta
-    check_pairs(law, FAST_SINE, found.rate, 0.1 * found.tube[0], delays, seed)
+    check_pairs(law, FAST_SINE, found.rate, 0.1 * found.tube[0], delays, seed=0)
 
 
 def check_pairs(
@@ -78,6 +74,7 @@ def check_pairs(
     assert rate <= 1.02 * np.log(distances[0] / distances[1]) / (500 * period)
 
 
+@pytest.mark.full
 def test_two_links_contract_on_a_tube_about_a_short_motion() -> None:
     law, delays = two_link(), (0.0, 1.0)
     found = sampled_contraction(law, SHORT, H, delays)
@@ -121,14 +118,6 @@ def test_starts_on_the_corners_of_the_tube_end_below_the_offset(law: fjr.Trackin
     assert np.any(errors.max(axis=(0, 1)) > 0.02 * found.offset)
 
 
-def test_a_smaller_gain_has_a_smaller_rate() -> None:
-    rates = [
-        sampled_contraction(fjr.TrackingLaw(fjr.single_link(), replace(fjr.PAPER_GAINS, K_ld=K_ld)), FAST_SINE, H)
-        for K_ld in (0.6, 0.3)
-    ]
-    assert rates[0].rate > 1.2 * rates[1].rate  # type: ignore[union-attr]
-
-
 def test_a_delay_beyond_the_margin_is_not_proven() -> None:
     law, period = joint(), 5e-3
     margin = fjr.check(law, period, configurations=FAST_SINE.configurations(16)).delay_margin
@@ -137,9 +126,10 @@ def test_a_delay_beyond_the_margin_is_not_proven() -> None:
     assert sampled_contraction(law, FAST_SINE, period, (0.6 * margin, 0.6 * margin)) is not None
 
 
-def test_a_reference_at_rest_is_proven_at_the_rate_of_the_linear_loop() -> None:
-    law, reference = joint(), STILL
-    found = sampled_contraction(law, reference, H)
+@pytest.mark.parametrize("K_ld", [0.6, 0.3])
+def test_a_reference_at_rest_is_proven_at_the_rate_of_the_linear_loop(K_ld: float) -> None:
+    law = fjr.TrackingLaw(fjr.single_link(), replace(fjr.PAPER_GAINS, K_ld=K_ld))
+    found = sampled_contraction(law, STILL, H)
     linear = -np.log(fjr.check(law, H, configurations=[[0.0]]).spectral_radius) / H
     assert found is not None
     assert 0.7 * linear < found.rate <= linear

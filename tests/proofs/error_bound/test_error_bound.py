@@ -62,31 +62,23 @@ def paper(delay: float, prove: bool | None = None, **errors: float) -> ErrorBoun
     return bound_errors(joint(), EACH_SECOND, T, delay, errors, payload_position=PLACE, prove=prove)
 
 
+OF_THE_LINKS = {
+    "payload": 0.05,
+    "payload_mass": 0.05,
+    "payload_position": 0.01,
+    "gravity_direction": 0.03,
+    "link_central_inertia": 0.1,
+}
 CASES = [
     (joint, SWING, 0.4 * T, {"stiffness": 0.05, "motor_inertia": 0.05}),
-    (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
-    (
-        joint,
-        SWING,
-        T,
-        {
-            "payload": 0.1,  # of the links alone
-            "payload_mass": 0.1,
-            "payload_position": 0.02,
-            "gravity_direction": 0.05,
-            "link_central_inertia": 0.2,
-        },
-    ),
-    (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.1, 0.1], "stiffness": [0.05, 0.02]}),
+    (joint, EACH_SECOND, 1.4 * T, OF_THE_LINKS),
+    (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.05, 0.02], "stiffness": [0.02, 0.02]}),
 ]
 """A joint and two links, samples beside the period and on it, delays below and above a sample."""
 MORE = [
-    (joint, SWING, 0.0, {}),
     (joint, SWING, T, {"payload": 0.2, "link_damping": 0.3, "motor_damping": 0.3, "gravity": 0.05}),
+    (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
     (two_link, TWO_LINK_SWING, T, {}),
-    (two_link, TWO_LINK_SWING, T, {"payload": 0.1}),
-    (joint, EACH_SECOND, 0.0, {"payload": 0.2}),
-    (two_link, TWO_LINK_EACH_SECOND, T, {"payload": 0.1}),
     (two_link, TWO_LINK_SWING, T, {"payload_mass": 0.1, "link_mass": 0.05, "motor_inertia": [0.1, 0.0]}),
 ]
 
@@ -142,7 +134,10 @@ def largest_storage(law: fjr.TrackingLaw, reference: Reference, payload: float) 
     return max(law.measured_command(*np.split(m, 2), reference.jets(t))[1] for m, t in settled)
 
 
-@pytest.mark.parametrize(("law", "reference", "payload"), [(joint, SWING, 0.2), (two_link, TWO_LINK_SWING, 0.0)])
+@pytest.mark.parametrize(
+    ("law", "reference", "payload"),
+    [(joint, SWING, 0.2), pytest.param(two_link, TWO_LINK_SWING, 0.0, marks=pytest.mark.full)],
+)
 def test_V_of_settled_runs_stays_within_its_bound(law, reference, payload) -> None:
     made = law()
     bound = bound_errors(made, reference, T, T, {"payload": payload})
@@ -235,12 +230,6 @@ def test_twice_the_torque_doubles_the_bound_of_a_linear_joint(name: str) -> None
     assert twice == pytest.approx(2 * once, rel=1e-6)
 
 
-def test_a_robot_that_rests_without_errors_stays_on_the_reference() -> None:
-    bound = bound_errors(joint(), STILL, T, T)
-    assert bound.proven
-    assert np.all(bound.position < 1e-12)
-
-
 @pytest.mark.parametrize("factor", [0.95, 1.05])
 def test_a_robot_of_another_weight_rests_within_its_bound(factor: float) -> None:
     """At rest the spring carries the weight, and the effort of the law holds the spring."""
@@ -263,10 +252,10 @@ def test_stated_errors_are_those_of_the_robot_file_times_a_number_of_standard_de
     said = ("link_coulomb_friction:=0.01", "link_torque:=0.02", "link_mass:=0.04", "joint_stiffness:=0.03")
     short = f"reference.frequency:=[{2 * np.pi}]"  # a period of 1000 samples
     scenario = library.load("paper_k31", [short, *(f"robot.deviations.{each.replace(':=', ':=[')}]" for each in said)])
-    found = errors_bounded(scenario, {"stated": 2.0, "link_damping": 0.1}, 1.0).values
+    found = errors_bounded(scenario, {"stated": 2.0, "link_damping": 0.1}, 1.0, prove=False).values
     expected = {"link_mass": [0.08], "stiffness": [0.06], "link_damping": 0.1, "link_torque": 0.06}
     assert found["errors"] == {name: pytest.approx(size) for name, size in expected.items()}
-    bound = bound_errors(scenario.law, scenario.reference, T, T, expected)
+    bound = bound_errors(scenario.law, scenario.reference, T, T, expected, prove=False)
     assert found["position"]["joint1"] == pytest.approx(bound.position[0])
     with pytest.raises(fjr.ParameterError, match="'stated' has 3 numbers; expected one"):
         errors_bounded(scenario, {"stated": [1.0, 2.0, 3.0]}, 1.0)
@@ -453,7 +442,7 @@ def test_what_cannot_be_bounded_is_refused(arguments: tuple[Any, ...], words: st
 
 
 def test_time_that_is_over_ends_the_division() -> None:
-    errors = {"stiffness": 0.3, "motor_inertia": 0.2}
+    errors = {"stiffness": 0.3}
     whole, cut = (bound_errors(joint(), EACH_SECOND, T, T, errors, prove=False, seconds=s) for s in (np.inf, 1e-9))
     assert whole.parts > 1
     assert cut.parts == 1
