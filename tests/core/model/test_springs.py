@@ -96,20 +96,18 @@ def test_a_torsion_curve_meets_its_points_with_the_slopes_of_scipy_and_rises() -
 @pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
 def test_the_law_on_torsion_curves_and_its_storage_rate_are_exact_to_1e_12(arm: Arm, same: bool) -> None:
     """The oracle evaluates (30)-(43) in 80 digits, and dV/dt by differences along the flow under the law's effort."""
-    gains = linear(arm.n)
+    gains, p = linear(arm.n), random_point(arm, 0, same)
     law, literal = loop_of(arm, gains).law, LiteralLaw(arm, gains)
-    for seed in range(3):
-        p = random_point(arm, seed, same)
-        e, wanted = (each.evaluate(p.x_v, p.x, p.jets, p.omega) for each in (law, literal))
-        for name in ("u", "q_md", "q_tilde_m", "sigma_m", "V"):
-            assert residual(np.asarray(getattr(e, name)), np.asarray(getattr(wanted, name))) <= EXACT, name
-        of, z, plant = wanted.law, wanted.z, wanted.law.plant
-        x_v, x, _ = of.states(z)
-        dx = plant.derivative(x, exact(e.u if same else p.u))
-        dz = np.concatenate([plant.virtual(x_v, x, exact(e.u)), dx, [mpmath.mpf(1)]])
-        dV = float((of.V(z + STEP * dz) - of.V(z - STEP * dz)) / (2 * STEP))
-        assert residual(np.asarray(dV), *map(np.asarray, storage_terms(loop_of(arm, gains), p))) <= EXACT
-        assert e.dV == pytest.approx(dV, rel=1e-10, abs=1e-11 * e.dissipation)
+    e, wanted = (each.evaluate(p.x_v, p.x, p.jets, p.omega) for each in (law, literal))
+    for name in ("u", "q_md", "q_tilde_m", "sigma_m", "V"):
+        assert residual(np.asarray(getattr(e, name)), np.asarray(getattr(wanted, name))) <= EXACT, name
+    of, z, plant = wanted.law, wanted.z, wanted.law.plant
+    x_v, x, _ = of.states(z)
+    dx = plant.derivative(x, exact(e.u if same else p.u))
+    dz = np.concatenate([plant.virtual(x_v, x, exact(e.u)), dx, [mpmath.mpf(1)]])
+    dV = float((of.V(z + STEP * dz) - of.V(z - STEP * dz)) / (2 * STEP))
+    assert residual(np.asarray(dV), *map(np.asarray, storage_terms(loop_of(arm, gains), p))) <= EXACT
+    assert e.dV == pytest.approx(dV, rel=1e-10, abs=1e-11 * e.dissipation)
 
 
 @pytest.mark.parametrize("arm", [*HARD, *TORSION], ids=lambda arm: arm.name)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -28,7 +26,7 @@ from core.oracles.oracle import LiteralPlant, exact, stencil
 from core.oracles.properties import TOLERANCE, residual
 
 arms = pytest.mark.parametrize("arm", ARMS + HARD, ids=lambda arm: arm.name)
-seeds = pytest.mark.parametrize("seed", range(4))
+seeds = pytest.mark.parametrize("seed", range(2))
 
 
 @pytest.mark.parametrize("arm", [*ARMS, *HARD, two_joints(), arm7()], ids=lambda arm: arm.name)
@@ -82,11 +80,12 @@ def errors_of_virtual_solutions(arm: Arm, gains: GainSet, duration: float) -> tu
     return gaps[0], gaps[1], float(np.max(np.abs(end[: arm.n] - reference.jets(duration)[0])))
 
 
-@pytest.mark.parametrize("arm", [single(31.0), single(3.1), planar("31", 31.0)], ids=lambda arm: arm.name)
-@pytest.mark.parametrize("gains", [linear, cubic])
-def test_every_virtual_solution_converges_to_the_actual_one(arm: Arm, gains: Callable[[int], GainSet]) -> None:
+@pytest.mark.parametrize(
+    ("arm", "gains"), [(single(3.1), linear(1)), (planar("31", 31.0), cubic(2))], ids=lambda each: each.name
+)
+def test_every_virtual_solution_converges_to_the_actual_one(arm: Arm, gains: GainSet) -> None:
     """Theorem 2."""
-    at_start, at_end, error = errors_of_virtual_solutions(arm, gains(arm.n), 4.0)
+    at_start, at_end, error = errors_of_virtual_solutions(arm, gains, 4.0)
     assert np.min(at_start) > 0.1
     assert np.max(at_end) < 1e-6
     assert error > 1e-3

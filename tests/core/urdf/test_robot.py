@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""robot_from_urdf agrees with Pinocchio's model of the same text; limits, elastic data and refused input."""
+"""robot_from_urdf and its recursions agree with Pinocchio's model of the same text; limits, elastic data, refusals."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -35,22 +36,29 @@ def robot_of(case: tuple[int, int]) -> tuple[fjr.Robot, PinocchioLinks]:
 
 
 def agreement(robot: fjr.Robot, oracle: PinocchioLinks, seed: int) -> float:
-    """Return the largest relative difference of M, C w, M a + C w, gradients and potential differences."""
+    """Return the largest relative difference of M, C w, M a + C w, E, gradients and potential differences."""
     q, other, v, w, a = np.random.default_rng(seed).uniform(-2, 2, (5, robot.n))
+    M, C, links, symbols = oracle.M(q), oracle.C(q, v), robot.links, [ca.SX.sym(name, robot.n) for name in "qvw"]
+    workless = ca.Function("E", symbols, [links.E(*symbols)])
     drop = np.array([robot.P_l(q) - robot.P_l(other)]), np.array([oracle.P(q) - oracle.P(other)])
     return max(
-        relative(robot.M_l(q), oracle.M(q)),
-        relative(robot.coriolis(q, v, w), oracle.C(q, v) @ w),
-        relative(robot.links.inertial_torque(q, v, w, a).full().ravel(), oracle.M(q) @ a + oracle.C(q, v) @ w),
+        relative(robot.M_l(q), M),
+        relative(robot.coriolis(q, v, w), C @ w),
+        relative(links.inertial_torque(q, v, w, a).full().ravel(), M @ a + C @ w),
         relative(robot.grad_P_l(q), oracle.grad_P(q)),
-        relative(robot.links.grad_T(q, v).full().ravel(), oracle.C(q, v).T @ v),
+        relative(links.grad_T(q, v).full().ravel(), C.T @ v),
+        relative(workless(q, v, w).full().ravel(), -C.T @ w),
         relative(*drop),
     )
 
 
 @all_cases
 def test_named_joints_in_any_order_with_others_locked_agree_with_pinocchio(case: tuple[int, int]) -> None:
-    assert agreement(*robot_of(case), seed=case[1]) < 1e-10
+    """Inertia, Coriolis product, inertial torque, workless forces, gravity, potential and kinetic gradient."""
+    robot, oracle = robot_of(case)
+    assert agreement(robot, oracle, seed=case[1]) < 1e-10
+    M = robot.M_l(np.ones(robot.n))
+    assert np.array_equal(M, M.T)
 
 
 def test_path_and_text_give_the_same_robot_with_a_byte_order_mark_extensions_or_links_named_as_joints(
