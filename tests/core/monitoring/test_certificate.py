@@ -17,7 +17,6 @@ from core.oracles.properties import TOLERANCE, loop_of, residual
 from fjr_core.monitoring.certificate import Certificate
 
 loops = pytest.mark.parametrize(("arm", "gains"), LOOPS, ids=LOOP_NAMES)
-SEEDS = (40, 41, 42)
 
 
 def measured(arm: Arm, x: Array) -> tuple[Array, Array]:
@@ -34,20 +33,19 @@ def at(balance: Certificate, position: Array, velocity: Array, jets: Array, u: A
     return SimpleNamespace(**{each.name: getattr(series, each.name)[0] for each in fields(series)})
 
 
-def along_the_plant(arm: Arm, seed: int, f: object) -> tuple[Array, object]:
-    """Return x of a random point and the rate of f(x, jets) along the plant under the effort of that point."""
-    p, plant = random_point(arm, seed), fjr.Plant(arm.robot)
+def along_the_plant(arm: Arm, f: object) -> tuple[Array, object]:
+    """Return a random point and the rate of f(x, jets) along the plant under the effort of that point."""
+    p, plant = random_point(arm, 40), fjr.Plant(arm.robot)
     dx = plant.derivative(p.x, p.u)
     h = 0.006 * arm.grain / max(1.0, float(np.max(np.abs(dx[: 2 * arm.n]))))
     return p, stencil(lambda s: f(p.x + s * dx, p.jets + s * p.djets), h)
 
 
 @loops
-@pytest.mark.parametrize("seed", SEEDS)
-def test_rate_of_V_under_any_effort(arm: Arm, gains: GainSet, seed: int) -> None:
+def test_rate_of_V_under_any_effort(arm: Arm, gains: GainSet) -> None:
     """dV/dt = -dissipation + s_m' B_m (u - u_law) for an arbitrary effort u, by default that of the law."""
     law = loop_of(arm, gains).law
-    p, wanted = along_the_plant(arm, seed, lambda x, jets: law.evaluate(x, x, jets).V)
+    p, wanted = along_the_plant(arm, lambda x, jets: law.evaluate(x, x, jets).V)
     sample = at(Certificate(law), *measured(arm, p.x), p.jets, p.u)
     e = law.evaluate(p.x, p.x, p.jets)
     pushed = np.linalg.solve(arm.M_m, e.sigma_m) @ arm.B_m @ (p.u - e.u)
@@ -59,9 +57,8 @@ def test_rate_of_V_under_any_effort(arm: Arm, gains: GainSet, seed: int) -> None
 
 
 @loops
-@pytest.mark.parametrize("seed", SEEDS)
-def test_power_balance_of_H(arm: Arm, gains: GainSet, seed: int) -> None:
-    p, wanted = along_the_plant(arm, seed, lambda x, _: arm.robot.hamiltonian(x))
+def test_power_balance_of_H(arm: Arm, gains: GainSet) -> None:
+    p, wanted = along_the_plant(arm, lambda x, _: arm.robot.hamiltonian(x))
     sample = at(Certificate(loop_of(arm, gains).law), *measured(arm, p.x), p.jets, p.u)
     assert abs(sample.supplied - sample.dissipated - wanted) <= TOLERANCE * (abs(sample.supplied) + sample.dissipated)
     assert pytest.approx(arm.robot.hamiltonian(p.x), rel=1e-12) == sample.H

@@ -59,12 +59,12 @@ def compiled(command: Sequence[str], source: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize(("n", "memory"), [(1, 0), (2, 5), (7, 0), (7, 40)])
+@pytest.mark.parametrize(("n", "memory"), [(1, 0), (7, 40)])
 def test_the_text_compiles_without_a_warning(n: int, memory: int, compiler: str, tmp_path: Path) -> None:
     compiled([compiler, *STRICT], c_text(n, memory), tmp_path)
 
 
-@pytest.mark.parametrize("n", [1, 3, pytest.param(7, marks=pytest.mark.full)])
+@pytest.mark.parametrize("n", [3, *(pytest.param(n, marks=pytest.mark.full) for n in (1, 7))])
 def test_random_calls_send_finite_efforts_within_limit_and_rate_of_the_same_bits_in_every_build(
     n: int, tmp_path: Path
 ) -> None:
@@ -118,7 +118,7 @@ def test_a_copied_controller_continues_with_the_same_bits() -> None:
         assert bytes(ffi.buffer(step.controller)) == bytes(ffi.buffer(copied))
 
 
-@pytest.mark.parametrize("dt", [MS, MS // 3, 10 * MS, 99 * MS, 101 * MS])
+@pytest.mark.parametrize("dt", [MS // 3, 10 * MS, 101 * MS])
 def test_the_observer_of_the_step_is_the_velocity_observer(dt: int) -> None:
     """The class estimates where there is no controller, e.g. from bags; both give the same bits."""
     law, observer = fjr.TrackingLaw(TWO.robot, TWO_GAINS.gains), fjr.VelocityObserver(TWO.robot, 150.0)

@@ -139,14 +139,6 @@ def test_restart_uses_positions_only(beginning: str) -> None:
     assert moving.error < 1e-6
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_the_linearised_error_of_the_shipped_scenarios_decays_at_the_bandwidth(name: str) -> None:
-    loop = library.load(name)
-    radii = error_radii(loop.robot, BANDWIDTH, loop.sample_period, loop.configurations(3))
-    assert radii.max() < 1
-    np.testing.assert_allclose(radii, math.exp(-BANDWIDTH * loop.sample_period), rtol=3e-3)
-
-
 @pytest.mark.parametrize(("bandwidth", "inertia"), [(5.0, 1e-2), (150.0, 1e-2), (150.0, 1e-3), (2000.0, 1e-3)])
 def test_error_radius_of_an_undamped_joint_is_that_of_its_modes(bandwidth: float, inertia: float) -> None:
     k, m, dt = 2000.0, 0.02, 1e-3

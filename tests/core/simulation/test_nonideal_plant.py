@@ -26,7 +26,7 @@ from fjr_core.simulation.nonideal_plant import NonidealPlant
 Array = NDArray[Any]
 DT = 2.5e-4
 arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
-seeds = pytest.mark.parametrize("seed", range(3))
+seeds = pytest.mark.parametrize("seed", range(2))
 
 
 def plant_of(robot: fjr.Robot, **options: Any) -> NonidealPlant:
@@ -207,10 +207,9 @@ def test_maxwell_element_slips_at_its_torque_and_sticks_after_every_reversal() -
     np.testing.assert_allclose(Rheometer(h, slip)(within), h / slip * within, atol=1e-9)
 
 
-@seeds
-def test_no_closed_cycle_yields_work(seed: int) -> None:
+def test_no_closed_cycle_yields_work() -> None:
     """A path from rest takes the energy stored at its end and the work of the slider, which never decreases."""
-    h, slip, rng = 0.7, 0.02, np.random.default_rng(seed)
+    h, slip, rng = 0.7, 0.02, np.random.default_rng(0)
     corners = np.r_[0.0, rng.uniform(-0.06, 0.06, 30), 0.0]
     zeta = np.concatenate([np.linspace(a, b, 400) for a, b in zip(corners, corners[1:], strict=False)])
     torque = Rheometer(h, slip)(zeta)
@@ -236,7 +235,7 @@ def hysteretic(t: float, y: Array, h: float, slip: float) -> Array:
 @pytest.mark.parametrize(("integrator", "tolerance"), [("rk4", 2e-6), ("implicit_midpoint", 1e-5)])
 def test_motion_with_hysteresis_is_that_of_its_rate_equation(integrator: str, tolerance: float) -> None:
     """SciPy integrates dT/dt = (h / slip) d zeta/dt while the element sticks, with tight tolerances."""
-    h, slip, dt, end = 0.2, 0.008, 2e-5, 0.4
+    h, slip, dt, end = 0.2, 0.008, 2e-5, 0.2
     robot = fjr.single_link()
     plant, i = plant_of(robot, integrator=integrator), Imperfections(1, hysteresis=h, slip=slip).vector
     start = np.array([0.5, 0.53, 0.4, -0.3])
@@ -316,8 +315,7 @@ def loaded(links: PinocchioLinks, joint: str, mass: float, position: Array) -> P
     return links
 
 
-@pytest.mark.parametrize("n", [1, 3, 7])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("n", "seed"), [(1, 0), (3, 1), (7, 0)])
 def test_payload_on_any_urdf_equals_an_added_body_in_pinocchio(n: int, seed: int) -> None:
     """The payload is on the link of the outermost named joint, for any order and type of joints, with others locked."""
     case = random_urdf(n, seed)
