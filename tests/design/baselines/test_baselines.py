@@ -54,7 +54,7 @@ def test_effort_on_a_moving_reference_is_the_inverse_dynamics(name: str, arm: Ar
 @arms
 def test_storage_is_positive_away_from_the_reference_or_absent(name: str, arm: Arm) -> None:
     loop = PlainLoop(arm, standard_law(name, arm))
-    for seed in range(20):
+    for seed in range(10):
         p = random_point(arm, seed, same=True)
         V = loop.storage(p.x, p.jets)
         assert V > 0 if LAWS[name].storage else np.isnan(V)

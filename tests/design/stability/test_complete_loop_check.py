@@ -27,7 +27,7 @@ from fjr_design.studies.compare_run import tuned_law
 from fjr_design.studies.suite import LawChoice
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
-DRAWS = 60
+DRAWS = 36
 BASELINES = [*LAWS]
 MARGIN = 3e-3  # draws with a radius this close to 1 are repeated: a short run cannot decide them
 START, FAR, NOTHING = 1e-7, 1e-3, 1e-12  # rad: initial error, error of a diverging loop, rounding
@@ -152,7 +152,7 @@ def advancing(loop: Loop) -> Callable[[np.ndarray, list[np.ndarray]], np.ndarray
     return advance
 
 
-def test_check_and_simulation_agree_on_60_draws() -> None:
+def test_check_and_simulation_agree_on_random_draws() -> None:
     """Draws within MARGIN of the boundary, which a short run cannot decide, are repeated."""
     rng, stable, unstable = np.random.default_rng(12), 0, 0
     while stable + unstable < DRAWS:
@@ -163,7 +163,7 @@ def test_check_and_simulation_agree_on_60_draws() -> None:
         samples = int(np.clip(8 / abs(np.log(radius)), 100, 3000))
         assert converges(loop, samples) == (radius < 1), (radius, loop)
         stable, unstable = stable + (radius < 1), unstable + (radius > 1)
-    assert min(stable, unstable) >= 20, (stable, unstable)
+    assert min(stable, unstable) >= 12, (stable, unstable)
 
 
 @pytest.mark.parametrize("by_torque", [False, True])
@@ -187,7 +187,7 @@ def test_radii_with_model_errors_are_those_of_the_changed_plant() -> None:
         assert radii[quantity, 1.3] == pytest.approx(exact, rel=1e-4), quantity
 
 
-@pytest.mark.parametrize("bandwidth", [None, 150.0])
+@pytest.mark.parametrize("bandwidth", [pytest.param(None, marks=pytest.mark.full), 150.0])
 def test_margin_with_integral_action_holds_where_the_arm_is_lightest(bandwidth: float | None) -> None:
     """The gains of the integral are the same everywhere; the loop without it is worst elsewhere."""
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/two_link.yaml")
@@ -201,7 +201,7 @@ def test_margin_with_integral_action_holds_where_the_arm_is_lightest(bandwidth: 
 
 def test_margin_with_the_velocity_observer_holds_at_all_configurations() -> None:
     """The loop of measured velocities is worst elsewhere."""
-    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/arm7.yaml")
+    scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/two_link.yaml")
     law, sensing, T = fjr.TrackingLaw(scenario.robot, scenario.gains), Sensing(150.0), 1e-3
     margin = fjr.check(law, T, sensing=sensing, lowest_rate=False).delay_margin
     everywhere = linearize(law, sensing=sensing)

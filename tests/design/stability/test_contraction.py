@@ -40,11 +40,11 @@ from core.oracles.properties import (
     sym,
 )
 
-STRAIGHT = [(arm, gains) for arm, gains in LOOPS if not arm.cubic.any()]
-URDF = [(arm, scaled_gains(arm, cubic=cubic)) for arm in (two_joints(), arm7()) for cubic in (False, True)]
+STRAIGHT = [(arm, gains) for arm, gains in LOOPS if gains.name != "linear" and not arm.cubic.any()]
+URDF = [(arm, scaled_gains(arm, cubic=True)) for arm in (two_joints(), arm7())]
 EXACT = 1e-11  # tolerance for URDF arms, as in law/test_law.py
 loops = pytest.mark.parametrize(("arm", "gains"), STRAIGHT, ids=[f"{arm.name}-{gains.name}" for arm, gains in STRAIGHT])
-places = pytest.mark.parametrize("place", [(0, True), (1, True), (2, False), (3, False)], ids=str)
+places = pytest.mark.parametrize("place", [(0, True), (2, False)], ids=str)
 
 
 @pytest.mark.parametrize(("arm", "gains"), [*STRAIGHT, *URDF], ids=lambda each: each.name)
@@ -202,8 +202,8 @@ def test_differential_storage_decays_at_least_at_the_rate(arm: Arm, gains: GainS
 
 @pytest.mark.parametrize(
     ("arm", "gains"),
-    [(single(31.0), linear(1)), (single(3.1), linear(1)), (single(31.0), cubic(1)), (planar("31", 31.0), linear(2))],
-    ids=["k = 31", "k = 3.1", "cubic", "two links"],
+    [(single(3.1), cubic(1)), (planar("31", 31.0), linear(2))],
+    ids=["k = 3.1, cubic", "two links"],
 )
 def test_virtual_solutions_contract_at_rate_beta_along_any_curve(arm: Arm, gains: GainSet) -> None:
     """The storage of the difference of two virtual solutions decays along any x(t), here driven by an unrelated u."""

@@ -43,7 +43,7 @@ def tracks(scenario: Scenario) -> bool:
     return bool(np.abs(run.x[-500:, :2] - run.jets[-500:, 0]).max() < 1e-3)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.2, 0.4, 0.7, 1.0, 1.2])
+@pytest.mark.parametrize("share", [0.2, 0.7, 1.2])
 def test_a_start_diverges_where_the_simulation_does(share: float) -> None:
     scenario = started(share, "limits.start_error:=[1.0, 1.0]")
     assert found(scenario).diverges != tracks(scenario)

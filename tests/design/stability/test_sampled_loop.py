@@ -116,9 +116,9 @@ def linear_joint(stiffness: float) -> tuple[fjr.TrackingLaw, tuple[float, ...]]:
     return fjr.TrackingLaw(robot, fjr.PAPER_GAINS), (0.031, 0.004, stiffness, 0.2, 0.007)
 
 
-@pytest.mark.parametrize("stiffness", [31.0, 3.1, 300.0])
+@pytest.mark.parametrize("stiffness", [3.1, 300.0])
 @pytest.mark.parametrize("period", [1e-3, 0.02])
-@pytest.mark.parametrize("tenths", [0, 3, 10, 15, 20, 37])
+@pytest.mark.parametrize("tenths", [0, 3, 10, 37])
 def test_radius_of_a_linear_loop_matches_the_hand_written_loop(stiffness: float, period: float, tenths: int) -> None:
     law, values = linear_joint(stiffness)
     (radius,) = spectral_radius(law, period, tenths / 10 * period, [[0.3]])
@@ -262,13 +262,13 @@ def test_table_1_recipe_on_a_stiff_arm_is_unstable_as_sampled_and_in_simulation(
     assert not loop_converges(law, np.full(7, 0.4), 1e-3, samples=100)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.5e-3, 1.3e-3])
+@pytest.mark.parametrize("delay", [0.0, 1.3e-3])
 def test_margins_are_where_the_radius_of_the_worst_configuration_crosses_one(delay: float) -> None:
     """The configurations preselected by the closed form give the margins of all configurations."""
     for law in small_laws():
-        q_l = sample_configurations(law.robot, 150)
+        q_l = sample_configurations(law.robot, 100)
         found, radii = check(law, 1e-3, delay, q_l), spectral_radius(law, 1e-3, delay, q_l)
-        assert found.configurations == 150
+        assert found.configurations == 100
         assert found.spectral_radius == pytest.approx(radii.max(), rel=1e-12)
         (alone,) = spectral_radius(law, 1e-3, delay, [found.configuration])
         assert found.spectral_radius == pytest.approx(alone, rel=1e-12)

