@@ -94,9 +94,7 @@ BAD: dict[str, tuple[int, dict[str, Any], tuple[str, ...]]] = {
     "goal": (2, {"type": "point_to_point", "point_to_point.goal": (1.0,)}, ("point_to_point.goal", "length 1")),
     "duration": (2, {"point_to_point.duration": 0.0}, ("point_to_point.duration", "0.0 s", "at least")),
     "dwell": (2, {"point_to_point.dwell": -1.0}, ("point_to_point.dwell", "-1.0 s", "at least 0.0")),
-    "ramp": (2, {"circle.ramp": 0.0}, ("circle.ramp", "0.0 s", "at least")),
     "circle": (1, {"type": "circle"}, ("reference.type", "circle", "1 joint", "2 joints")),
-    "hold": (2, {"type": "hold", "offset": (1.0,)}, ("reference.offset", "length 1")),
 }
 
 

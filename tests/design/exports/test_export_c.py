@@ -186,11 +186,9 @@ def test_any_scenario_or_joint_name_compiles(tmp_path: Path) -> None:
         ("paper_k31", "paper_k31"),
         ("arm-7 b", "arm_7_b"),
         ("7", "loop_7"),
-        ("ä", "loop"),
         ("_x_", "x"),
-        ("test", "loop_test"),
+        ("ä", "loop"),
         ("Math", "loop_Math"),
-        ("7" * 50, "loop_" + "7" * 35),
         ("7" * 34 + " b", "loop_" + "7" * 34),
     ],
 )

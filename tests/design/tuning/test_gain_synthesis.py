@@ -18,6 +18,7 @@ from fjr_core.motions.domain import Domain
 from fjr_core.stability.linearization import closed_form
 from fjr_design.stability.sampled_loop import check, lag_limit, late_spring
 from fjr_design.tuning.gain_synthesis import synthesize
+from fuzzing import refused
 
 HOME = np.array([0, 0.5, 0.2, -1.2, -0.2, 0.8, 0.4])
 
@@ -113,25 +114,15 @@ def test_gains_for_a_workspace_reach_a_higher_rate() -> None:
         synthesize(robot("arm7"), 6.0, 1e-3)
 
 
-def test_rate_named_in_the_error_is_reachable() -> None:
-    paper = robot("paper")
-    with pytest.raises(fjr.GainsError) as caught:
-        synthesize(paper, 500.0, 0.005, 0.005)
-    message = str(caught.value)
-    assert "beta = 500 1/s is out of reach at 200 Hz with a delay of 0.005 s" in message
-    assert "\n" not in message
-    (reached,) = (float(number) for number in re.findall(r"at most ([\d.]+) 1/s", message))
-    assert fjr.TrackingLaw(paper, synthesize(paper, 0.99 * reached, 0.005, 0.005)).rate().beta >= 0.98 * reached
+@pytest.mark.parametrize(("name", "beta"), [("paper", 500.0), ("planar", 1e7), ("planar", 1e300)])
+def test_rate_named_in_the_error_is_reachable(name: str, beta: float) -> None:
+    given = robot(name), 0.005, 0.005
+    said = refused(fjr.GainsError, lambda: synthesize(given[0], beta, *given[1:]), f"beta = {beta:g} 1/s is out of")
+    assert "out of reach at 200 Hz with a delay of 0.005 s" in said
+    (reached,) = (float(number) for number in re.findall(r"at most ([\d.]+) 1/s", said))
+    assert fjr.TrackingLaw(given[0], synthesize(given[0], 0.99 * reached, *given[1:])).rate().beta >= 0.98 * reached
     with pytest.raises(fjr.GainsError):
-        synthesize(paper, 1.2 * reached, 0.005, 0.005)
-
-
-@pytest.mark.parametrize("beta", [1e300, 1e7])
-def test_huge_rates_are_out_of_reach(beta: float) -> None:
-    with pytest.raises(fjr.GainsError, match=r"out of reach at 1000 Hz .* expected at most [\d.]+ 1/s") as caught:
-        synthesize(robot("planar"), beta, 1e-3)
-    (reached,) = (float(number) for number in re.findall(r"at most ([\d.]+) 1/s", str(caught.value)))
-    assert synthesize(robot("planar"), 0.99 * reached, 1e-3)
+        synthesize(given[0], 1.2 * reached, *given[1:])
 
 
 @pytest.mark.parametrize("beta", [0.0, -1.0, float("nan"), float("inf")])
