@@ -58,6 +58,7 @@ FAULTY_LAWS = {
     "a rate below 0": (BadRate(JOINT), "rate is -1.0; expected a positive number"),
     "memory": (own_code.Counts(JOINT), "expected a pure function, without memory"),
     "not finite": (own_code.NanBeyond(JOINT), "u is not finite at q_l = "),
+    "an exception": (own_code.Fails(JOINT), "Fails raises ZeroDivisionError: too far (own_code.py, line "),
     "no law": (own_code.WrongShape(JOINT), "u of WrongShape has shape (2,); expected (1,)"),
 }
 
@@ -81,6 +82,7 @@ def test_a_correct_plant_passes_with_its_power_balance() -> None:
 FAULTY_PLANTS = {
     "energy from nothing": (own_code.Ideal(ARM, damping=-20.0), "where the motors supply "),
     "momenta as velocities": (own_code.OtherVelocities(ARM), "from the velocities of x at q_l = "),
+    "an exception": (own_code.PlantFails(ARM), "PlantFails raises ValueError: too far (own_code.py, line "),
     "no plant": (own_code.NoMethod(ARM), "NoMethod has no method derivative; expected derivative(x, u)"),
 }
 

@@ -211,6 +211,7 @@ def values_of(**given: object) -> dict[str, parameter.Value]:
 
 ROBOTS = {
     "Table 1": {"robot__model": "single_link"},
+    "no gravity": {"robot__model": "single_link", "robot__gravity_torque": [0.0]},
     "upside down": {"robot__model": "single_link", "robot__gravity_torque": [-0.5], "joints": ["a&b"]},
     "heavy": {"robot__model": "single_link", "robot__gravity_torque": [9.0], "robot__link_inertia": [2.0]},
     "two links": {"robot__model": "planar_two_link", "joints": ["shoulder", "elbow"]},

@@ -98,7 +98,7 @@ def check_run(loop: ClosedLoop, step: ControlStep, u: Any, outcomes: Outcomes, s
 
 def test_the_samples_of_a_run_give_the_control_step_the_same_efforts_to_the_last_bit() -> None:
     counts = np.zeros(len(KINDS))
-    for seed in range(len(MEASURED) * len(ROBUST)):  # each measurement with each option
+    for seed in range(3, 18):  # each measurement with each option, and each event
         loop, draws, robust = random_loop(seed)
         outcomes, recorded = loop.recorded(draws)
         for i in (0, 3):
