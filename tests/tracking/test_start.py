@@ -35,22 +35,17 @@ from tracking.tracked import (
 )
 
 
-def test_start_discards_a_stop_and_starts_the_reference_again() -> None:
-    tracker = tracker_at(0, MS, link_velocity=1.0)
-    tracker.command(sample(2 * MS, 0.5, 0.5, 2.0), 2 * MS)
-    assert tracker.state is State.STOPPED
-    tracker.start()
-    assert tracker.state is State.WAITING
-    command = tracker.command(sample(SECOND, 0.5, 0.5), SECOND)
-    np.testing.assert_array_equal(command.jets, SINE.jets(0.0))
-    assert command.state is State.TRACKING
-
-
-@pytest.mark.parametrize("requested", ["nothing", "a trajectory", "a later one", "to hold"])
-def test_a_start_discards_pending_requests(requested: str) -> None:
+@pytest.mark.parametrize("requested", ["nothing", "a trajectory", "a later one", "to hold", "to resume after a stop"])
+def test_a_start_discards_pending_requests_and_stops_and_starts_the_reference_again(requested: str) -> None:
     tracker = tracker_at(0, 100 * MS)
     if requested == "to hold":
         tracker.hold()
+    elif requested == "to resume after a stop":
+        tracker.apply(settings(**STILL, link_velocity=1.0))
+        tracker.command(sample(101 * MS, 0.5, 0.5, 2.0), 101 * MS)
+        assert tracker.state is State.STOPPED
+        tracker.resume()
+        tracker.apply(settings(**STILL))
     elif requested != "nothing":
         start = 2 * SECOND if requested == "a later one" else 100 * MS
         tracker.follow(Spline([0.5], [[0.84]], start=SINE.jets(start * 1e-9)), start)
