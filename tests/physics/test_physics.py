@@ -171,7 +171,7 @@ FREED = {
 @pytest.mark.parametrize("turning", [3e-4, pytest.param(1e-3, marks=pytest.mark.full), 2e-2])
 @pytest.mark.parametrize("joints", [1, pytest.param(2, marks=pytest.mark.full)])
 def test_friction_is_identified_wherever_it_turns_over(turning: float, joints: int) -> None:
-    found = identified(drawn(Case(laws.coulomb(turning), duration=4.0), joints, 2, 3), 0, IdentifyOptions())
+    found = identified(drawn(Case(laws.coulomb(turning), duration=2.0), joints, 2, 3), 0, IdentifyOptions())
     assert found is not None
     seen = [each for each in found if each.verdict != UNKNOWN]
     assert max(each.away for each in seen) < 5
@@ -202,7 +202,7 @@ STRAIGHT, LOOSE, STIFFENING, LOOP, GEAR = (
         (laws.coulomb(0.01), laws.kinematic_error(1e-4)),
     )
 )
-HEAVY = Case(stated_mass=1.3, duration=4.0, cause="the links of the robot file")
+HEAVY = Case(stated_mass=1.3, duration=3.0, cause="the links of the robot file")
 
 
 @cache
