@@ -14,6 +14,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
 from engines.test_contact import FRONT
+from engines.walls import LOADED, UNLOADED
 from fjr_controller.controller_node import ControllerNode
 from fjr_core.runtime.events import State
 from fjr_core.runtime.safety_settings import REACTIONS, REPORT, STOP, YIELD
@@ -97,7 +98,7 @@ def test_contact_is_reported_and_the_arm_reacts_as_on_contact_says(ros: Ros, tmp
 @pytest.mark.system
 def test_report_of_a_stop_at_a_wall_says_contact_beside_that_of_the_simulator(tmp_path: Path) -> None:
     changes = [part for name, value in FRONT.items() for part in ("--set", f"{name}:={value}")]
-    run = ("run", "arm7_contact", "--lockstep", "--duration", "1.5", "--output", str(tmp_path), *changes)
+    run = ("run", "arm7_contact", "--lockstep", "--duration", "1.2", "--output", str(tmp_path), *changes)
     said = fjr_here(*run, codes=(Exit.FAILED,))
     report = json.loads((tmp_path / "arm7_contact" / "report.json").read_text())
     assert report["status"] == "stopped"
@@ -111,6 +112,9 @@ def test_report_of_a_stop_at_a_wall_says_contact_beside_that_of_the_simulator(tm
     largest = float(np.linalg.norm(efforts[:, 7:10], axis=1).max())
     assert contact["simulated_force_n"] == pytest.approx(largest)
     assert contact["force_n"] == pytest.approx(largest, rel=0.1)
+    torque = np.abs(efforts[:, :7]).max(axis=0) / np.abs(efforts[:, :7]).max()
+    loaded, felt = ({f"joint{j + 1}" for j in np.flatnonzero(torque >= least)} for least in (LOADED, UNLOADED))
+    assert loaded <= {each["joint"] for each in contact["joints"]} <= felt
     for each in contact["joints"]:
         assert each["largest_torque_nm"] == pytest.approx(each["simulated_torque_nm"], rel=0.1, abs=1.0)
     assert "in the simulator" in (tmp_path / "arm7_contact" / "report.html").read_text()

@@ -48,9 +48,8 @@ def chain() -> fjr.Robot:
     return robot
 
 
-ROBOTS = {"single_link": fjr.single_link, "two_link": fjr.planar_two_link, "chain": chain}
-MADE = [make() for make in ROBOTS.values()]
-robots = pytest.mark.parametrize("robot", MADE, ids=ROBOTS)
+MADE = [fjr.single_link(), chain()]
+robots = pytest.mark.parametrize("robot", MADE, ids=["single_link", "chain"])
 
 
 def moved(
@@ -79,7 +78,7 @@ def run(simulated: SimulatedRobot, samples: int = 100, external: float = 0.0) ->
 
 
 @engines
-@pytest.mark.parametrize("robot", [*MADE, load("arm7").plant.robot], ids=[*ROBOTS, "arm7"])
+@pytest.mark.parametrize("robot", [*MADE, load("arm7").plant.robot], ids=["single_link", "chain", "arm7"])
 def test_motion_converges_to_the_solution_of_eq_36_with_the_order_of_the_integrator(
     robot: fjr.Robot, engine: str
 ) -> None:
@@ -206,10 +205,10 @@ def test_engine_in_python_is_refused_in_real_time() -> None:
 @pytest.mark.system
 @engines
 def test_loop_of_the_survey_is_lock_step_to_the_last_bit(engine: str, tmp_path: Path) -> None:
-    run = record("two_link", 0.5, tmp_path, f"engine:={engine}", "compile:=false")
-    motion = robot_survey.moved_by(engine, "two_link", inner_steps=4, duration=0.5)
+    run = record("two_link", 0.2, tmp_path, f"engine:={engine}", "compile:=false")
+    motion = robot_survey.moved_by(engine, "two_link", inner_steps=4, duration=0.2)
     samples = min(len(run.t), len(motion.positions))
-    assert samples > 400
+    assert samples > 150
     assert np.array_equal(run.q_l[:samples], motion.positions[:samples, :2])
 
 

@@ -55,7 +55,7 @@ def test_a_film_shows_the_motion_in_its_time(
 ) -> None:
     """The browser draws a frame in a second, so that it draws fewer."""
     drawn_by(renderer, monkeypatch)
-    period = film.PERIOD if renderer == "MuJoCo" else 0.2
+    period = film.PERIOD if renderer == "MuJoCo" else 0.4
     monkeypatch.setattr(film, "PERIOD", period)
     run, file = shared_run(tmp_path_factory, "arm7"), tmp_path / f"arm7.{ending}"
     fjr_here("report", str(run), "--output", str(tmp_path / "report"), "--film", str(file))

@@ -56,7 +56,6 @@ def ur5e() -> Scenario:
 
 CASES = {name: lambda name=name: library.load(name) for name in ("paper_k31", "two_link", "arm7")}
 CASES |= {"UR5e": ur5e, "random chain": random_chain}
-cases = pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 
 
 def written(case: Scenario, folder: Path) -> Path:
@@ -72,7 +71,7 @@ def poses(n: int) -> np.ndarray:
     return np.random.default_rng(7).uniform(-1.5, 1.5, (20, n))
 
 
-@cases
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_the_file_gives_the_robot_back(case, tmp_path: Path) -> None:
     found = case()
     text, known = read_mjcf(written(found, tmp_path), tmp_path)
@@ -88,10 +87,10 @@ def test_the_file_gives_the_robot_back(case, tmp_path: Path) -> None:
             assert getattr(arm.robot.limits, name) == pytest.approx(getattr(own.limits, name), rel=1e-15)
 
 
-@cases
-def test_mujoco_has_both_sides_of_each_joint(case, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["paper_k31", "arm7", "random chain"])
+def test_mujoco_has_both_sides_of_each_joint(name: str, tmp_path: Path) -> None:
     """Inertia, start, sensors and motors, as MuJoCo computes them."""
-    found = case()
+    found = CASES[name]()
     robot, joints, n = found.robot, found.joints, found.robot.n
     model = mujoco.MjModel.from_xml_path(str(written(found, tmp_path)))
     data, rng = mujoco.MjData(model), np.random.default_rng(3)

@@ -67,12 +67,10 @@ def test_the_motion_tells_more_of_every_parameter_than_a_sine_within_the_same_li
     assert np.all(gain > 0.8)
 
 
-def test_equal_seeds_design_equal_motions(monkeypatch: pytest.MonkeyPatch):
+def test_equal_seeds_design_equal_motions(found, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(excitation, "STEPS", 5)
-    robot = fjr.single_link(stiffness=31.0)
-    reference, noise = fjr.Sine(1.0, 2.0), JointNoise(np.array([1e-5]), np.array([1e-5]), np.array([1e-2]))
-    bounds = limits(robot, reference, effort=20.0, link_velocity=3.0)
-    first, second = (design(robot, bounds, noise, reference, 2.0, 1e-3, seed=3).reference for _ in range(2))
+    robot, bounds, _ = found
+    first, second = (design(robot, bounds, NOISE, SINE, 2.0, 1e-3, seed=3).reference for _ in range(2))
     assert np.array_equal(first.amplitude, second.amplitude)
 
 

@@ -186,16 +186,13 @@ def slipping(torque: float, slip: float, ratio: float) -> MotionRecord:
     return MotionRecord("slipping", ("joint1",), 2e-3, *columns)
 
 
-@pytest.mark.parametrize(("torque", "slip"), [(0.02, 2e-3), (0.05, 1e-3), (0.05, 5e-3), (0.1, 5e-3), (0.2, 1e-2)])
+@pytest.mark.parametrize(("torque", "slip"), [(0.02, 2e-3), (0.05, 5e-3), (0.2, 1e-2)])
 def test_hysteresis_is_no_gear_ratio(torque: float, slip: float) -> None:
     """Along one sine its lag is nearly a ratio of 0.98 to 0.99."""
     assert findings(slipping(torque, slip, 1.0), fjr.single_link(31.0)) == ()
 
 
-@pytest.mark.parametrize(
-    ("torque", "slip", "ratios"),
-    [(1e-9, 5e-3, (0.98, 0.99, 1.01, 1.02)), (0.02, 2e-3, (0.98, 0.99, 1.01, 1.02)), (0.05, 5e-3, (0.98, 0.99, 1.02))],
-)
+@pytest.mark.parametrize(("torque", "slip", "ratios"), [(1e-9, 5e-3, (0.99, 1.01)), (0.02, 2e-3, (0.99, 1.01))])
 def test_a_gear_ratio_is_refused_without_and_with_hysteresis(torque: float, slip: float, ratios: Any) -> None:
     for ratio in ratios:
         found = findings(slipping(torque, slip, ratio), fjr.single_link(31.0))
@@ -218,7 +215,7 @@ def test_a_joint_at_rest_next_to_a_moving_one_is_listed() -> None:
         findings(table.record, fjr.single_link())
 
 
-@pytest.mark.parametrize(("factor", "with_effort"), [(0.01, False), (0.5, True), (2.0, False), (100.0, True)])
+@pytest.mark.parametrize(("factor", "with_effort"), [(0.01, False), (0.5, True), (2.0, False)])
 def test_a_wrong_gear_ratio_of_the_only_side_is_found(factor: float, with_effort: bool) -> None:
     table = one_joint().of(*MOTOR)
     wrong = scaled(motor=factor, effort=1 / factor if with_effort else 1.0)(table)
@@ -255,7 +252,10 @@ def test_errors_of_one_side_are_found_from_a_factor_on() -> None:
     assert least_seen(rows(record, slice(0, 25 * 18, 25), dt=25 * record.dt), robot) == {}  # too few samples
 
 
-@pytest.mark.parametrize(("n", "measured"), [(1, "motor"), (1, "link-torque"), (2, "motor-torque")])
+@pytest.mark.parametrize(
+    ("n", "measured"),
+    [(1, "link-torque"), (1, "motor-torque"), pytest.param(2, "motor-torque", marks=pytest.mark.full)],
+)
 def test_a_healthy_record_of_the_coverage_study_has_no_finding(n: int, measured: str) -> None:
     case = draw(n, 2, duration=8.0, measured=measured)
     guessed = {name: np.diag(case.prior.values[name]) for name in ("joint_stiffness", "motor_inertia")}

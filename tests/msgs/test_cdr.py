@@ -74,7 +74,7 @@ def by_python(reader: StateReader, data: bytes) -> object:
 
 
 @pytest.mark.parametrize(("velocity", "wanted"), [("measured", POSITION | VELOCITY), ("observer", POSITION)])
-@fuzzed(200)
+@fuzzed(100)
 @given(st.lists(JOINT_STATES, min_size=1, max_size=6))
 def test_states_equal_those_of_the_reader_in_python_for_any_previous_message(velocity, wanted, sent) -> None:
     native = NativeReader(program(), NAMES, wanted)
@@ -84,7 +84,7 @@ def test_states_equal_those_of_the_reader_in_python_for_any_previous_message(vel
         assert by_c(native, data) == by_python(reader, data)
 
 
-@fuzzed(300)
+@fuzzed(150)
 @given(JOINT_STATES, st.data())
 def test_damaged_bytes_are_read_as_rclpy_reads_them_or_rejected(message, data) -> None:
     native, reader = NativeReader(program(), NAMES, POSITION | VELOCITY), StateReader(JOINTS)
@@ -105,7 +105,7 @@ def test_damaged_bytes_are_read_as_rclpy_reads_them_or_rejected(message, data) -
     assert found == expected
 
 
-@fuzzed(200)
+@fuzzed(100)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_read_within_their_length(data) -> None:
     native = NativeReader(program(), NAMES, POSITION | VELOCITY | EFFORT)

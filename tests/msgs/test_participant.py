@@ -16,6 +16,7 @@ from std_msgs.msg import Empty
 
 from fjr_msgs_py.native.program import ros_options
 from nodes.harness import Ros
+from program_cache import built
 from time_limits import HANG
 
 JOINING = """
@@ -153,11 +154,10 @@ def test_a_signal_after_joining_leaves_and_exits_with_0(ros: Ros, other: Node) -
 
 def test_a_participant_leaves_while_discovery_callbacks_run(ros: Ros, tmp_path: Path) -> None:
     """Without `stop_discovery` the wheels' Fast DDS waits forever, in one of two rounds, for a callback to end."""
-    library = tmp_path / "slow.so"
     include, *_, lib = (option for option in ros_options() if option[:2] in ("-I", "-L"))
-    options = [f"-I{Path(include[2:]).parent}", lib, "-l:libfastrtps.so", "-Wl,--allow-shlib-undefined"]
-    source = Path(__file__).with_name("slow_listener.cpp")
-    subprocess.run(["c++", "-std=c++17", "-shared", "-fPIC", "-o", library, source, *options], check=True)
+    options = (f"-I{Path(include[2:]).parent}", lib, "-Wl,--no-as-needed,-l:libfastrtps.so,--allow-shlib-undefined")
+    source, command = Path(__file__).with_name("slow_listener.cpp"), ("c++", "-std=c++17", "-shared", "-fPIC")
+    library = built(command, [source], tmp_path / "slow.so", *options)
     joining = ros.add(Node("joining", context=ros.context))
     with subprocess.Popen([sys.executable, "-c", LEAVING, str(library)]) as process:
         while process.poll() is None:

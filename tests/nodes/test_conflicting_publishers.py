@@ -54,20 +54,16 @@ def appear(ros: Ros, manager: Manager) -> Iterator[Appear]:
         other.close()
 
 
-topics = pytest.mark.parametrize("topic", MESSAGES)
-
-
-@topics
-def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appear, topic: str) -> None:
-    other = appear(topic)
+def test_a_second_controller_is_refused(ros: Ros, manager: Manager, appear: Appear) -> None:
+    other = appear(EFFORTS)
     node = ros.controller(autostart=False)
     assert manager.change("configure")
     with other.talking():
-        with pytest.raises(CommandConflictError, match=f"node /other publishes on {topic}; expected nobody else"):
+        with pytest.raises(CommandConflictError, match=f"node /other publishes on {EFFORTS}; expected nobody else"):
             ros.controller()
         assert not manager.change("activate")
         assert manager.state() == "inactive"
-        assert topic in str(node.trouble)
+        assert EFFORTS in str(node.trouble)
     assert manager.change("activate")
 
 
@@ -124,7 +120,7 @@ def test_publisher_that_replaces_another_is_detected(ros: Ros, manager: Manager,
     conflicts.close()
 
 
-@topics
+@pytest.mark.parametrize("topic", MESSAGES)
 def test_publisher_created_together_with_ours_is_detected(
     ros: Ros, manager: Manager, appear: Appear, topic: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

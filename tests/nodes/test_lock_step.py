@@ -155,11 +155,6 @@ def test_silence_is_not_counted_while_paused_and_a_reset_waits_for_a_first_comma
 # ~/advance, also in real time.
 
 
-def assert_close(x: np.ndarray, expected: np.ndarray) -> None:
-    """Compare states; the oracle is not compiled and rounds each product and sum."""
-    np.testing.assert_allclose(x, expected, rtol=1e-13, atol=1e-16)
-
-
 @pytest.mark.usefixtures("either_executor")
 def test_lockstep_advances_by_the_exact_number_of_samples(ros: Ros, peer: Peer) -> None:
     node = ros.plant(lockstep=True, start_paused=True)
@@ -202,7 +197,7 @@ def test_real_time_advances_at_once_with_the_held_effort(ros: Ros, peer: Peer) -
     time, x, count = node._robot.time, node._robot.x, len(peer.states)
     assert peer.advance().success
     assert node._robot.time == time + 25 * PERIOD
-    assert_close(node._robot.x, integrate(x, 0.3, 100))
+    np.testing.assert_allclose(node._robot.x, integrate(x, 0.3, 100), rtol=1e-13, atol=1e-16)
     ros.until(lambda: nanoseconds(peer.states[-1]) == node._time_base.stamp)
     stamps = [nanoseconds(state) for state in peer.states[count:]]
     assert stamps == [node._time_base.stamp - (24 - k) * PERIOD for k in range(25)]

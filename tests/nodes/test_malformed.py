@@ -28,7 +28,7 @@ from nodes.plants import answer, command
 
 HANDLED = ("commands received", "command refused", "answers to other states")  # beginnings of counters
 LIMIT = (20.0, 10.0)  # N m
-EACH, EXAMPLES = 10, 40  # messages of an example; FJR_FUZZ_EXAMPLES=1000 tries more
+EACH, EXAMPLES = 10, 20  # messages of an example; FJR_FUZZ_EXAMPLES=1000 tries more
 
 # Messages.
 

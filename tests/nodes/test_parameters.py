@@ -107,7 +107,6 @@ def in_file(folder: Path, text: str) -> list[str]:
 
 HOLD = ("-p", "reference.type:=hold")
 FILE = ("--params-file", scenario("paper_k31"))
-SECTIONS = ("/**/fjr_controller", "/fjr_controller", "fjr_controller")
 
 
 def controller(ros: Ros, *arguments: str) -> ControllerNode:
@@ -132,11 +131,9 @@ def test_a_parameter_before_the_file_that_sets_it_is_refused(ros: Ros) -> None:
         controller(ros, *HOLD, *FILE)
 
 
-@pytest.mark.parametrize("section", SECTIONS)
-def test_node_section_applies_and_a_conflicting_bare_parameter_is_refused(
-    ros: Ros, tmp_path: Path, section: str
-) -> None:
-    _, *file = in_file(tmp_path, f"{section}:\n  ros__parameters: {{compile: false, reference: {{type: sine}}}}\n")
+def test_node_section_applies_and_a_conflicting_bare_parameter_is_refused(ros: Ros, tmp_path: Path) -> None:
+    text = "/**/fjr_controller:\n  ros__parameters: {compile: false, reference: {type: sine}}\n"
+    _, *file = in_file(tmp_path, text)
     assert controller(ros, *file).get_parameter("reference.type").value == "sine"
     named = controller(ros, *file, "-p", "fjr_controller:reference.type:=hold")
     assert named.get_parameter("reference.type").value == "hold"

@@ -43,6 +43,19 @@ def time_in_motion(node: PlantNode, peer: Peer) -> int:
     return nanoseconds(peer.states[-1]) - node._time_base.offset
 
 
+def assert_one_motion(
+    states: list[JointState], x: np.ndarray | None = None, stamp: int = 0, effort: float = 0.0
+) -> None:
+    """Check that the motion under an effort agrees with the stamps; x, stamp [ns]: its begin, None: the first state."""
+    if x is None:
+        x, stamp = state_of(states[0]), nanoseconds(states[0])
+    for state in states:
+        steps, rest = divmod(nanoseconds(state) - stamp, INNER)
+        assert rest == 0
+        x, stamp = integrate(x, effort, steps), nanoseconds(state)
+        np.testing.assert_allclose(state_of(state), x, rtol=1e-11, atol=1e-14)
+
+
 def block(node: PlantNode, seconds: float) -> None:
     """Keep the thread of the plant busy."""
 
@@ -87,13 +100,7 @@ def test_stamps_are_the_exact_times_of_the_states_also_after_ticks_that_were_ski
     block(node, 0.05)
     ros.until(lambda: node._health.count["ticks skipped"] >= skipped + 45, "the counter")
     ros.settle()
-    x, stamp = state_of(peer.states[0]), node._time_base.offset
-    for state in in_motion(peer):
-        steps, rest = divmod(nanoseconds(state) - stamp, INNER)
-        assert rest == 0
-        x = integrate(x, 0.3, steps)
-        stamp = nanoseconds(state)
-        np.testing.assert_allclose(state_of(state), x, rtol=1e-11, atol=1e-14)
+    assert_one_motion(in_motion(peer), state_of(peer.states[0]), node._time_base.offset, effort=0.3)
 
 
 def test_last_command_is_held_until_command_timeout(ros: Ros, peer: Peer) -> None:
@@ -178,20 +185,16 @@ def test_plant_slower_than_real_time_skips_time_and_reports_it(ros: Ros, peer: P
     ros.until(lambda: node._health.count["time lost"] >= 1, "the counter")
 
 
-@pytest.mark.parametrize("simulated", [False, True])
-def test_use_sim_time_cannot_change_while_running(ros: Ros, peer: Peer, simulated: bool) -> None:
-    node = ros.plant(use_sim_time=simulated)
-    (result,) = node.set_parameters([Parameter("use_sim_time", value=not simulated)])
-    assert (result.successful, result.reason) == (
-        False,
-        "parameter 'use_sim_time' can be set only before the node starts",
-    )
-    assert node.get_parameter("use_sim_time").value == simulated
-    assert node.get_clock().ros_time_is_active == simulated
-    assert node.set_parameters([Parameter("use_sim_time", value=simulated)])[0].successful
-    assert not node.set_parameters_atomically(
-        [Parameter("advance_samples", value=7), Parameter("use_sim_time", value=not simulated)]
-    ).successful
+def test_use_sim_time_cannot_change_while_running(ros: Ros, peer: Peer) -> None:
+    node = ros.plant(use_sim_time=True)
+    kept, other = (Parameter("use_sim_time", value=value) for value in (True, False))
+    (result,) = node.set_parameters([other])
+    refusal = "parameter 'use_sim_time' can be set only before the node starts"
+    assert (result.successful, result.reason) == (False, refusal)
+    assert node.get_parameter("use_sim_time").value
+    assert node.get_clock().ros_time_is_active
+    assert node.set_parameters([kept])[0].successful
+    assert not node.set_parameters_atomically([Parameter("advance_samples", value=7), other]).successful
     assert node.values["advance_samples"] == 1
 
 
@@ -238,16 +241,6 @@ class Player:
         for k in range(samples + 1):
             self.play(start + k * PERIOD)
         return [nanoseconds(state) for state in self._peer.states[before:]]
-
-
-def assert_one_motion(states: list) -> None:
-    """Check that the motion without effort between two states agrees with their stamps."""
-    x, stamp = state_of(states[0]), nanoseconds(states[0])
-    for state in states[1:]:
-        steps, rest = divmod(nanoseconds(state) - stamp, INNER)
-        assert rest == 0
-        x, stamp = integrate(x, 0.0, steps), nanoseconds(state)
-        np.testing.assert_allclose(state_of(state), x, rtol=1e-12, atol=1e-15)
 
 
 def test_stamps_follow_the_clock_from_its_first_message_on_and_stop_with_it(ros: Ros, peer: Peer) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import assume, given
+from hypothesis import settings as tried
 from hypothesis import strategies as st
 
 import fjr_core as fjr
@@ -59,6 +60,7 @@ speeds = st.floats(1.2 * UNSEEN / COUNTED, 5.0)
 signs = st.sampled_from([-1.0, 1.0])
 
 
+@tried(max_examples=40)
 @given(joint=st.integers(0, 1), speed=speeds, sign=signs, timeout=st.floats(0.002, 5.0), ms=st.integers(1, 10))
 def test_a_joint_that_stands_still_at_a_velocity_is_refused_once_it_must_have_moved_whatever_the_others_do(
     joint: int, speed: float, sign: float, timeout: float, ms: int
@@ -82,6 +84,7 @@ def test_a_joint_that_stands_still_at_a_velocity_is_refused_once_it_must_have_mo
     assert f"the values of joint{joint + 1} repeat" in event.sentence
 
 
+@tried(max_examples=40)
 @given(
     period=st.integers(500_000, 50 * MS),
     every=st.integers(1, 20 * MS),
@@ -155,25 +158,15 @@ def test_a_driver_that_freezes_at_rest_stops_the_arm_before_it_moves_faster_than
         assert loop.tracker.state is State.STOPPED, "the driver is still frozen"
 
 
-@pytest.mark.parametrize("bits", [9, 12, 14, 40])
+@pytest.mark.parametrize("bits", [9, 14, 40])
 @pytest.mark.parametrize("speed", [1e-3, 0.05, 2.0])
-@pytest.mark.parametrize(("law", "q"), [(LAW, np.array([0.5])), (TWO, np.array([0.3, 0.2]))], ids=["paper", "two"])
-def test_coarse_encoders_of_an_arm_that_begins_to_move_are_not_frozen(
-    law: fjr.TrackingLaw, q: Any, speed: float, bits: int
-) -> None:
-    loop = Measured(law, q, bits, frozen=0)
+def test_coarse_encoders_of_an_arm_that_begins_to_move_are_not_frozen(speed: float, bits: int) -> None:
+    q = np.array([0.3, 0.2])
+    loop = Measured(TWO, q, bits, frozen=0, link_velocity=np.full(2, 3.0))
     loop.run(0.1)
-    loop.tracker.follow(fjr.Sine(np.full(law.robot.n, 0.5), np.full(law.robot.n, speed), offset=q))
+    loop.tracker.follow(fjr.Sine(np.full(2, 0.5), np.full(2, speed), offset=q))
     loop.run(1.5)
     assert not loop.tracker.reason
-
-
-def test_an_arm_that_rests_in_its_equilibrium_and_then_moves_is_never_frozen() -> None:
-    loop = Loop(TWO, Hold([0.0, 0.0]), settings(2, link_velocity=np.full(2, 3.0)), TWO.robot.state(0.0, 0.0, 0.0, 0.0))
-    loop.run(0.2)
-    loop.tracker.follow(fjr.Sine([0.5, 0.7], [2.0, 3.0]))
-    loop.run(1.0)
-    assert loop.tracker.state is not State.STOPPED
     assert not loop.tracker.counters["states frozen"]
 
 
@@ -236,7 +229,9 @@ def test_a_link_that_moved_further_than_its_limit_allows_stops(
     assert healthy(tracker, FIRST, 0.0, 0.0)
     jump[joint] = sign * more * max(speed * (ms * 1e-3 + TIMING), LEAST)
     healthy(tracker, FIRST + ms * MS, jump, 0.0)
-    assert f"position jump of joint{joint + 1}" in tracker.reason
+    beyond = "at most " if sign > 0 else "at least -"
+    said = f"position jump of joint{joint + 1}: change of q_l = {jump[joint]:.6g} rad; expected {beyond}"
+    assert tracker.reason.startswith(f"stopped: {said}")
 
 
 @pytest.mark.parametrize("broken", [(math.nan, 0.0, 0.0), (7.0, math.nan, 0.0), (7.0, 0.0, math.nan)])

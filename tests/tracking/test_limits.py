@@ -17,7 +17,7 @@ from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import Event, State
 from fjr_core.runtime.safety_settings import Settings
 from fuzzing import refused
-from tracking.tracked import LAW, LIMITED, MS, TWO, Passed, paper_law, sample, settings, two_link_law
+from tracking.tracked import LAW, LIMITED, MS, TWO, Passed, sample, settings
 
 INF = float("inf")
 
@@ -69,7 +69,7 @@ def test_a_limit_is_violated_just_beyond_its_value_and_names_the_joint(name: str
 
 
 @pytest.mark.parametrize("on_stop", ["zero", "gravity_hold"])
-@pytest.mark.parametrize("value", [1e100, 1e160, 1e308])
+@pytest.mark.parametrize("value", [1e100, 1e308])
 @pytest.mark.parametrize("name", LIMITED)
 def test_a_finite_value_of_any_size_beyond_a_limit_latches_a_stop(name: str, value: float, on_stop: str) -> None:
     """Also one whose square overflows, as of a wrong unit or a bad cast in a driver: it is no value to wait out."""
@@ -124,15 +124,13 @@ def stopped(law: fjr.TrackingLaw, state: Any, **given: object) -> tuple[ControlS
     return tracker, command.u
 
 
-@pytest.mark.parametrize("law", [paper_law(), two_link_law()], ids=["single", "two"])
-def test_gravity_hold_compensates_gravity_and_damps_the_motors(law: fjr.TrackingLaw) -> None:
-    n = law.robot.n
-    q, dq = np.linspace(0.4, 0.9, n), np.linspace(0.3, -0.5, n)
-    tracker, moving = stopped(law, sample(0, q, q, 0.0, dq), on_stop="gravity_hold")
+def test_gravity_hold_compensates_gravity_and_damps_the_motors() -> None:
+    q, dq = np.array([0.4, 0.9]), np.array([0.3, -0.5])
+    tracker, moving = stopped(TWO, sample(0, q, q, 0.0, dq), on_stop="gravity_hold")
     standing = tracker.stop_effort()
-    np.testing.assert_allclose(standing, np.linalg.solve(law.robot.B_m, law.robot.grad_P_l(q)), rtol=1e-12)
-    damping = law.robot.B_m @ (standing - moving)
-    np.testing.assert_allclose(damping, law.gains.K_md @ dq, rtol=1e-9)
+    np.testing.assert_allclose(standing, np.linalg.solve(TWO.robot.B_m, TWO.robot.grad_P_l(q)), rtol=1e-12)
+    damping = TWO.robot.B_m @ (standing - moving)
+    np.testing.assert_allclose(damping, TWO.gains.K_md @ dq, rtol=1e-9)
     assert dq @ damping > 0
 
 
@@ -192,20 +190,6 @@ def test_invalid_values_are_refused_with_a_sentence() -> None:
     for sentence, given in REFUSED.items():
         refused(fjr.ParameterError, lambda given=given: built(**given), sentence)
     refused(fjr.ParameterError, lambda: settings(deflection=float("nan")), "limits.deflection")
-
-
-@pytest.mark.parametrize("jump", [2 * np.pi, -0.05])
-def test_a_link_position_that_changes_faster_than_its_velocity_limit_is_a_stop(jump: float) -> None:
-    tracker = passing(link_velocity=2.0)
-    for k in range(3):
-        tracker.command(sample(k * MS, 0.02 * k, 0.0), k * MS)
-        assert tracker.state is State.TRACKING
-    tracker.command(sample(3 * MS, 0.04 + jump, 0.0), 3 * MS)
-    assert tracker.counters == {"stops": 1, "stops: position jump": 1}
-    side = "at least -" if jump < 0 else "at most "
-    assert (
-        tracker.reason == f"stopped: position jump of joint1: change of q_l = {jump:.6g} rad; expected {side}0.042 rad"
-    )
 
 
 def test_a_change_of_position_that_may_be_noise_is_no_jump() -> None:

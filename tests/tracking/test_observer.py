@@ -119,15 +119,6 @@ def test_with_an_observer_a_start_sends_the_stop_effort_until_velocities_settle(
         np.testing.assert_allclose(command.jets[:2], [[0.5], [0.1]], rtol=1e-9)
 
 
-def test_a_repeated_state_does_not_update_the_observer() -> None:
-    tracker = ControlStep(LAW, Hold([0.0]), settings(), Recorder())
-    for k in range(OBSERVED):
-        for _ in range(3):
-            command = tracker.command(bare_sample(k * MS), k * MS)
-            assert not command.u.any()
-    assert tracker.command(bare_sample(OBSERVED * MS), OBSERVED * MS).u.any()
-
-
 @pytest.mark.parametrize("name", ["link_position_upper", "motor_position_upper", "deflection"])
 def test_limits_of_positions_are_checked_while_velocities_settle(name: str) -> None:
     tracker, _ = settled(**{name: 0.6})

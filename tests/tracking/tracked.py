@@ -26,14 +26,6 @@ TWO_LINK_GAINS = fjr.Gains(
 )
 
 
-def paper_law(stiffness: float = 31.0) -> fjr.TrackingLaw:
-    return fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), fjr.PAPER_GAINS)
-
-
-def two_link_law() -> fjr.TrackingLaw:
-    return fjr.TrackingLaw(fjr.planar_two_link(), TWO_LINK_GAINS)
-
-
 def sample(stamp: int, q_l: Any, q_m: Any, dq_l: Any = 0.0, dq_m: Any = 0.0) -> Any:
     vectors = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (q_l, q_m, dq_l, dq_m)))
     return SimpleNamespace(stamp=stamp, q_l=vectors[0], q_m=vectors[1], dq_l=vectors[2], dq_m=vectors[3])
@@ -102,13 +94,15 @@ SECOND = 1_000_000_000
 SINE = fjr.Sine(1.0, 1.0)
 TWO_SINES = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
 
-LAW, SOFT, TWO = paper_law(), paper_law(3.1), two_link_law()
-ARMS = {
-    "paper": (LAW, SINE, LAW.robot.state(0.0, 0.0, 1.0, 1.0), 0.2),
-    "soft": (SOFT, SINE, SOFT.robot.state(0.0, 0.0, 1.0, 1.0), 0.6),
-    "two": (TWO, TWO_SINES, TWO.robot.state(0.0, 0.0, 0.0, 0.0), 0.3),
-}
-"""Law, reference, initial state, and the largest step [N m] that a recovery may make."""
+LAW, TWO = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS), fjr.TrackingLaw(fjr.planar_two_link(), TWO_LINK_GAINS)
+STEP = 0.3
+"""The largest step [N m] of an effort of the two-link arm that a recovery may make."""
+
+
+def moving_arm(**given: Any) -> Loop:
+    """Return the loop of the two-link arm, which starts at rest beside its moving reference."""
+    return Loop(TWO, TWO_SINES, settings(2, **given), TWO.robot.state(0.0, 0.0, 0.0, 0.0))
+
 
 LIMITED = {
     "link_position_upper": ("link position", lambda v: (v, 0.0, 0.0, 0.0)),
