@@ -12,9 +12,8 @@ from fjr_core.config.parameter import Values, complete
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.safety_settings import Settings
 from fuzzing import refused
-from tracking.tracked import two_link_law
+from tracking.tracked import TWO as LAW
 
-LAW = two_link_law()
 K = np.array([[20.0, 4.0], [4.0, 10.0]])
 
 

@@ -123,7 +123,7 @@ class RunSignals:
         kept = [STATES, *filter(None, [self._commands]), *filter(bag.holds, [REFERENCE])]
         self._numbers, self.has_reference = {topic: Columns() for topic in kept}, REFERENCE in kept
         self._read(bag, scenario.joints)
-        self._choose(bag, duration)
+        self._references = _of_stamps(*self._choose(bag, duration), self._times(REFERENCE))[0]
 
     def states(self, rows: slice) -> tuple[Array, Array, Array]:
         """Return positions, velocities (m, 2n) [rad, rad/s] and measured motor torques (m, n) [N m] of states."""
@@ -180,8 +180,8 @@ class RunSignals:
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         return self._numbers[topic].column("stamp").view(np.int64), self._numbers[topic].column("sent").view(np.int64)
 
-    def _choose(self, bag: Bag, duration: float) -> None:
-        """Find the rows of the run."""
+    def _choose(self, bag: Bag, duration: float) -> tuple[Times, Times]:
+        """Find the rows of the run; return its stamps, and the send times [ns] of the ends of the section."""
         stamp, sent = self._times(STATES)
         if not len(stamp):
             raise BagError(f"{bag.path} holds no complete state on {STATES}")
@@ -201,8 +201,8 @@ class RunSignals:
             rows = rows[: 1 + int(np.flatnonzero(answers[rows] >= 0)[-1])]
         self.stamp, self.sent, self.answered = stamp[rows], sent[rows], answered[rows]
         self._rows, self._answers = (begin + rows).astype(np.int32), answers[rows]
-        self._references = _of_stamps(self._times(REFERENCE), self.stamp, sent)[0]
         self.notes = self._notes(bag, len(starts), float(last - self.stamp[-1]) * 1e-9)
+        return self.stamp, sent[[0, -1]]
 
     def _answers_of(self, stamp: Times, sent: Times) -> tuple[Places, Times]:
         """Return the command of each state of a section, and its send time [ns]; -1: none.
@@ -211,7 +211,7 @@ class RunSignals:
         the next state.
         """
         if self._commands != EFFORTS:
-            return _of_stamps(self._times(ANSWERS), stamp, sent)
+            return _of_stamps(stamp, sent, self._times(ANSWERS))
         _, when = self._times(EFFORTS)
         place = np.searchsorted(when, sent)
         time = np.append(when, END)[place]
@@ -243,11 +243,11 @@ class RunSignals:
         return tuple(note for note in said if note)
 
 
-def _of_stamps(times: tuple[Times, Times], stamp: Times, sent: Times) -> tuple[Places, Times]:
+def _of_stamps(stamp: Times, sent: Times, times: tuple[Times, Times]) -> tuple[Places, Times]:
     """Return the first message with each stamp, and its send time [ns]; -1: none.
 
-    times: stamps and send times of the messages. sent: send times of the states of the section, among which the message
-    was sent.
+    sent: send times of the first to the last state of the section, among which the message was sent. times: stamps and
+    send times of the messages.
     """
     stamps, when = times
     inside = np.flatnonzero((when >= sent[0]) & (when <= sent[-1] + AFTERWARDS)).astype(np.int32)
@@ -261,8 +261,8 @@ def _of_stamps(times: tuple[Times, Times], stamp: Times, sent: Times) -> tuple[P
 
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
     """Return the row of the first message of each stamp, in order of time; duplicated messages are dropped."""
-    in_order = (stamp[1:] > stamp[:-1]).all()  # as those of most runs; sorting an hour takes 300 MB
-    return np.arange(len(stamp)) if in_order else np.unique(stamp, return_index=True)[1]
+    in_order = (stamp[1:] >= stamp[:-1]).all()  # sorting takes time and memory
+    return np.flatnonzero(np.diff(stamp, prepend=stamp[:1] - 1)) if in_order else np.unique(stamp, return_index=True)[1]
 
 
 def match_stamps(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
