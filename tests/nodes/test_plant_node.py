@@ -53,7 +53,7 @@ def assert_one_motion(
         steps, rest = divmod(nanoseconds(state) - stamp, INNER)
         assert rest == 0
         x, stamp = integrate(x, effort, steps), nanoseconds(state)
-        np.testing.assert_allclose(state_of(state), x, rtol=1e-11, atol=1e-14)
+        np.testing.assert_allclose(state_of(state), x, rtol=1e-12, atol=1e-15)
 
 
 def block(node: PlantNode, seconds: float) -> None:
@@ -112,7 +112,7 @@ def test_last_command_is_held_until_command_timeout(ros: Ros, peer: Peer) -> Non
     assert last.effort[1] == 0.0
     steps = time_in_motion(node, peer) // INNER
     expected = integrate(integrate(state_of(start), 0.3, 200), 0.0, steps - 200)
-    np.testing.assert_allclose(state_of(last), expected, rtol=1e-11, atol=1e-14)
+    np.testing.assert_allclose(state_of(last), expected, rtol=1e-12, atol=1e-15)
     peer.reported(node, "command timeouts")
 
 
