@@ -147,6 +147,7 @@ class RunSignals:
     def close(self) -> None:
         """Forget the numbers; stamps and send times stay."""
         self._numbers.clear()
+        del self._rows, self._answers, self._references
 
     @property
     def periods(self) -> Times:

@@ -169,7 +169,8 @@ def extremes(values: Array, buckets: int) -> NDArray[np.intp]:
     padded[:, :k] = values
     parts = padded.reshape(len(values), buckets, width)
     finite, begin = np.isfinite(parts), width * np.arange(buckets)
-    highest, lowest = (np.where(finite, sign * parts, -np.inf).argmax(axis=2) + begin for sign in (1, -1))
+    highest = np.where(finite, parts, -np.inf).argmax(axis=2) + begin
+    lowest = np.where(finite, parts, np.inf).argmin(axis=2) + begin
     known = finite.any(axis=2)
     return np.unique(np.concatenate([[0, k - 1], highest[known], lowest[known]]))
 

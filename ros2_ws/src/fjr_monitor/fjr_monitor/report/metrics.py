@@ -212,7 +212,6 @@ class Metrics:
         stop, touched = run.stop, contact(run, law, touching) if touching and law else None
         if stop and touched and touched.begins_s <= stop.at_s <= touched.ends_s + AFTER_CONTACT:
             stop = replace(stop, reason=f"{stop.reason}; {touched.sentence}")
-        t, V = run.columns.column("t"), self.columns.column("V")
         joints, tracking = tracked(run)
         versions: dict[str, str] = {}
         for each in VERSIONS:
@@ -231,8 +230,8 @@ class Metrics:
             missing=(*run.bag.notes, *run.notes),
             tracking=tracking,
             joints=joints,
-            storage=storage(t, V, self.beta, self.proven),
-            energy=energy(t, self.columns) if self.energy_known else None,
+            storage=storage(run.columns.column("t"), self.columns.column("V"), self.beta, self.proven),
+            energy=energy(run.columns.column("t"), self.columns) if self.energy_known else None,
             timing=timing(run.signals),
             counts=counts(run, duration),
             diagnostics=run.signals.counters,

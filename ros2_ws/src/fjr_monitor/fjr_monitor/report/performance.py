@@ -249,9 +249,8 @@ def _torque(part: RunData, B_m: Array) -> Array:
 
 def energy(t: Array, columns: Columns) -> Energy:
     """Return the energies of a run; columns: powers of `steps` of all states, at times t (k,) [s]."""
-    dt, residual, supplied = np.diff(t, prepend=np.nan), columns.column("residual"), columns.column("supplied")
-    known = np.isfinite(residual)
-    left, whole = (float(np.linalg.norm(power[known])) for power in (residual, supplied))
+    dt, known = np.diff(t, prepend=np.nan), np.isfinite(columns.column("residual"))
+    left, whole = (float(np.linalg.norm(columns.column(name)[known])) for name in ("residual", "supplied"))
     joules = {f"{name}_j": float(np.nansum(columns.column(name) * dt)) for name in FLOWS}
     return Energy(**joules, rms_residual_of_supplied=left / whole if whole else math.nan)
 
