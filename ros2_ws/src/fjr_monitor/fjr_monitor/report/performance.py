@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
-from fjr_monitor.recording.columns import Columns
+from fjr_monitor.recording.columns import ROWS, Columns
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.recording.signals import END, RunSignals
 
@@ -190,7 +190,7 @@ def storage(t: Array, V: Array, beta: float, proven: bool) -> Storage | None:
     """
     if not np.isfinite(V[0]):
         return None
-    relative, ratio = V / (V[0] or 1.0), V / (V[0] * np.exp(-2.0 * beta * t))
+    ratio, relative = V / (V[0] * np.exp(-2.0 * beta * t)), V / (V[0] or 1.0)
     low, within = np.flatnonzero(relative <= DECAYED), np.flatnonzero(ratio <= 1.0)
     leaves = int(within[-1]) + 1 if within.size else 0  # V(0) itself is on the bound, unless it is 0
     steady = relative[t >= STEADY_AFTER]
@@ -249,10 +249,14 @@ def _torque(part: RunData, B_m: Array) -> Array:
 
 def energy(t: Array, columns: Columns) -> Energy:
     """Return the energies of a run; columns: powers of `steps` of all states, at times t (k,) [s]."""
-    dt, known = np.diff(t, prepend=np.nan), np.isfinite(columns.column("residual"))
-    left, whole = (float(np.linalg.norm(columns.column(name)[known])) for name in ("residual", "supplied"))
-    joules = {f"{name}_j": float(np.nansum(columns.column(name) * dt)) for name in FLOWS}
-    return Energy(**joules, rms_residual_of_supplied=left / whole if whole else math.nan)
+    joules, squares, last = np.zeros(len(FLOWS)), np.zeros(len(FLOWS)), np.nan
+    for times, power in zip(np.split(t, range(ROWS, len(t), ROWS)), columns.parts(), strict=True):
+        flows, known = np.column_stack([power[name] for name in FLOWS]), np.isfinite(power["residual"])
+        joules += np.nansum(flows * np.diff(times, prepend=last)[:, None], axis=0)
+        squares, last = squares + (flows[known] ** 2).sum(axis=0), times[-1]
+    supplied, *_, left = np.sqrt(squares)
+    found = {f"{name}_j": float(value) for name, value in zip(FLOWS, joules, strict=True)}
+    return Energy(**found, rms_residual_of_supplied=float(left / supplied) if supplied else math.nan)
 
 
 @dataclass(frozen=True)

@@ -23,17 +23,8 @@ SILENT = 1.0  # s without a state
 NEAR, AT = 0.8, 0.999  # of a limit
 COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "stale": "magenta"}
 NOTHING = "-"
-COLUMNS = NAME, POSITION, VELOCITY, DEFLECTION, ERROR, ERRORS, EFFORT, EFFORTS, SHARE = (
-    "joint",
-    "q_l rad",
-    "dq_l rad/s",
-    "q_m-q_l mrad",
-    "error mrad",
-    "1e-3..1e3",
-    "u N m",
-    "-lim..+lim",
-    "of limit",
-)
+COLUMNS = "joint", "q_l rad", "dq_l rad/s", "q_m-q_l mrad", "error mrad", "1e-3..1e3", "u N m", "-lim..+lim", "of limit"
+NAME, POSITION, VELOCITY, DEFLECTION, ERROR, ERRORS, EFFORT, EFFORTS, SHARE = COLUMNS
 HISTORY, BESIDE = 60, 34  # characters of the sparkline, and of what stands beside it
 LEAST = 1e-20  # J or W; smaller amounts, such as the bound of V after some seconds, are not told apart
 LARGE = 1e-2  # rad, of an error
