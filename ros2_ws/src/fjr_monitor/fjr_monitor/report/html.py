@@ -169,8 +169,10 @@ def extremes(values: Array, buckets: int) -> NDArray[np.intp]:
     padded[:, :k] = values
     parts = padded.reshape(len(values), buckets, width)
     finite, begin = np.isfinite(parts), width * np.arange(buckets)
-    highest = np.where(finite, parts, -np.inf).argmax(axis=2) + begin
-    lowest = np.where(finite, parts, np.inf).argmin(axis=2) + begin
+    parts[~finite] = -np.inf
+    highest = parts.argmax(axis=2) + begin
+    parts[~finite] = np.inf
+    lowest = parts.argmin(axis=2) + begin
     known = finite.any(axis=2)
     return np.unique(np.concatenate([[0, k - 1], highest[known], lowest[known]]))
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_monitor.recording.columns import ROWS, Columns
+from fjr_monitor.recording.files import Times
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.recording.signals import END, RunSignals
 
@@ -291,11 +292,12 @@ class Counts:
 
 def timing(signals: RunSignals) -> Timing:
     """Return the timing of a run."""
-    shares = (0.5, 0.99, 1.0)
-    spreads = [
-        np.quantile(each, shares) if len(each) else [np.nan] * 3 for each in (signals.periods, signals.latencies)
-    ]
-    return Timing(*(float(value) * 1e-3 for spread in spreads for value in spread))
+    return Timing(*_quantiles(signals.periods), *_quantiles(signals.latencies))
+
+
+def _quantiles(times: Times) -> list[float]:
+    """Return median, 99 % and largest of times (k,) [ns] in us; NaN without any."""
+    return (1e-3 * np.quantile(times, (0.5, 0.99, 1.0))).tolist() if len(times) else [math.nan] * 3
 
 
 def counts(run: Recording, duration: float) -> Counts:
