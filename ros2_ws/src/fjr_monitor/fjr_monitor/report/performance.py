@@ -192,15 +192,14 @@ def storage(t: Array, V: Array, beta: float, proven: bool) -> Storage | None:
     if not np.isfinite(V[0]):
         return None
     ratio, relative = V / (V[0] * np.exp(-2.0 * beta * t)), V / (V[0] or 1.0)
-    low, within = relative <= DECAYED, ratio <= 1.0
-    first = int(np.argmax(low))
+    first, within = int(np.argmax(relative <= DECAYED)), ratio <= 1.0
     leaves = len(t) - int(np.argmax(within[::-1])) if within.any() else 0  # V(0) is on the bound, unless it is 0
     steady = relative[t >= STEADY_AFTER]
     return Storage(
         initial=float(V[0]),
         guaranteed_decay_rate_per_s=2.0 * beta,
         guarantee_is_proven=proven,
-        measured_decay_rate_per_s=float(-np.log(relative[first]) / t[first]) if low.any() else None,
+        measured_decay_rate_per_s=float(-np.log(relative[first]) / t[first]) if relative[first] <= DECAYED else None,
         leaves_bound_at_s=float(t[leaves]) if leaves < len(t) else None,
         relative_where_it_leaves=float(relative[leaves]) if leaves < len(t) else None,
         largest_ratio_to_bound_before=float(ratio[:leaves].max(initial=1.0)),
@@ -298,9 +297,8 @@ def timing(signals: RunSignals) -> Timing:
 
 def _quantiles(times: Times) -> list[float]:
     """Return median, 99 % and largest of times (k,) [ns], which are sorted in part, in us; NaN without any."""
-    return (
-        (1e-3 * np.quantile(times, (0.5, 0.99, 1.0), overwrite_input=True)).tolist() if len(times) else [math.nan] * 3
-    )
+    found = np.quantile(times, (0.5, 0.99, 1.0), overwrite_input=True) if len(times) else np.full(3, np.nan)
+    return (1e-3 * found).tolist()
 
 
 def counts(run: Recording, duration: float) -> Counts:
