@@ -81,11 +81,9 @@ class Recorded:
 
 
 @cache
-def recorded(
-    seconds: float = 5.0, size: tuple[float, float] = (1.0, 1.0), arm: ElasticTwoLink = ElasticTwoLink()
-) -> Recorded:
+def recorded(seconds: float = 5.0, size: tuple[float, float] = (1.0, 1.0)) -> Recorded:
     """Return a record of motors that follow a multi-sine of some size by PD control, from rest at 0."""
-    dt = 4e-3
+    arm, dt = ElasticTwoLink(), 4e-3
     t = np.arange(round(seconds / dt)) * dt
     phase = np.random.default_rng(4).uniform(0, 2 * np.pi, (2, 4))
     waves = np.sin(2 * np.pi * np.array([0.23, 0.7, 1.9, 6.1]) * t[:, None, None] + phase) @ [0.5, 0.25, 0.08, 0.01]
