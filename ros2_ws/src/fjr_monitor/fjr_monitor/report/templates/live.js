@@ -58,7 +58,9 @@
     return value == null ? "–" : `${value.toFixed(digits)} ${unit}`;
   }
 
-  const thousandths = (value, unit) => (value == null ? "–" : `${Number((1e3 * value).toPrecision(3))} ${unit}`);
+  function thousandths(value, unit) {
+    return value == null ? "–" : `${Number((1e3 * value).toPrecision(3))} ${unit}`;
+  }
 
   function tabulate() {
     const body = document.getElementById("joints");
