@@ -7,14 +7,15 @@ faster and reproducible to the bit.
 
 from __future__ import annotations
 
-import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
 
 from fjr_core import StateError
 from fjr_core.config.scenario import Scenario
@@ -28,7 +29,6 @@ from fjr_monitor.recording.run import Recording
 from fjr_monitor.recording.signals import ANSWERS, EFFORTS, REFERENCE, STATES
 from fjr_monitor.report.contact import TOPIC as CONTACT
 from fjr_msgs_py import names
-from fjr_msgs_py.messages.cdr import HEADER, float_array, joint_state
 from fjr_plant.lock_step import START
 from fjr_plant.simulated_robot import simulated
 
@@ -186,6 +186,10 @@ class LockStepLoop:
 
 # Bags of such loops with the topics of the nodes; the product reads them.
 
+TYPES = dict.fromkeys((STATES, ANSWERS, EFFORTS, REFERENCE, CONTACT), "sensor_msgs/msg/JointState")
+TYPES[EFFORTS] = "std_msgs/msg/Float64MultiArray"
+MESSAGES = get_typestore(Stores.ROS2_JAZZY)
+NOTHING: Array = np.zeros(0)
 LATENCY = 200_000  # ns; from a state to its command
 
 
@@ -197,35 +201,37 @@ def read_record(folder: Path, scenario: Scenario) -> Record:
 
 def write_bag(loop: LockStepLoop, folder: Path) -> None:
     """Write a run as a bag in `folder`, with the times of lock-step."""
-    bag, joints, n = BagWriter(folder), loop.scenario.joints, len(loop.scenario.joints)
-    measured = map(len, loop.states[0][1][1:])
-    forms = {
-        STATES: joint_state(names.state_names(joints), measured),
-        ANSWERS: joint_state(joints, (0, 0, n)),
-        EFFORTS: float_array(",".join(joints), n),
-        REFERENCE: joint_state(joints, (n, n, 0)),
-        CONTACT: joint_state([*joints, *names.WRENCH], (0, 0, n + len(names.WRENCH))),
-    }
-    kinds = dict.fromkeys(forms, "sensor_msgs/msg/JointState") | {EFFORTS: "std_msgs/msg/Float64MultiArray"}
-    channels = {topic: bag.add_topic(topic, kind, [names.LATEST], type_hash(kind)) for topic, kind in kinds.items()}
-
-    def write(topic: str, time: int, stamp: int, *numbers: Array) -> None:
-        form, channel = forms[topic], channels[topic]
-        data, places = bytearray(form.empty), [k for k, length in zip(form.starts, form.lengths, strict=True) if length]
-        if topic != EFFORTS:
-            struct.pack_into("<iI", data, HEADER, *divmod(stamp, 1_000_000_000))
-        for place, values in zip(places, numbers, strict=True):
-            struct.pack_into(f"<{len(values)}d", data, 8 * place - HEADER, *values)
-        bag.write(channel, time, time, channel.count + 1, bytes(data))
-
+    joints = loop.scenario.joints
     commands = {stamp: (u, jets) for stamp, u, jets in loop.commands}
-    for time, (stamp, *sensed) in loop.states:
-        write(STATES, time, stamp, *(values for values in sensed if len(values)))
+    bag = BagWriter(folder)
+    channels = {topic: bag.add_topic(topic, kind, [names.LATEST], type_hash(kind)) for topic, kind in TYPES.items()}
+
+    def write(topic: str, time: int, message: Any) -> None:
+        data = MESSAGES.serialize_cdr(message, TYPES[topic])
+        bag.write(channels[topic], time, time, channels[topic].count + 1, bytes(data))
+
+    for time, (stamp, position, velocity, effort) in loop.states:
+        write(STATES, time, _joint_state(names.state_names(joints), stamp, position, velocity, effort))
         if stamp in commands:
             u, jets = commands.pop(stamp)
-            write(ANSWERS, time + LATENCY, stamp, u)
-            write(EFFORTS, time + LATENCY, stamp, u)
-            write(REFERENCE, time + LATENCY, stamp, jets[0], jets[1])
+            write(ANSWERS, time + LATENCY, _joint_state(joints, stamp, effort=u))
+            write(EFFORTS, time + LATENCY, _efforts(joints, u))
+            write(REFERENCE, time + LATENCY, _joint_state(joints, stamp, jets[0], jets[1]))
     for stamp, values in loop.contacts:
-        write(CONTACT, stamp, stamp, values)
+        write(CONTACT, stamp, _joint_state([*joints, *names.WRENCH], stamp, effort=values))
     bag.close()
+
+
+def _joint_state(
+    joints: Sequence[str], stamp: int, position: Array = NOTHING, velocity: Array = NOTHING, effort: Array = NOTHING
+) -> Any:
+    types = MESSAGES.types
+    time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
+    header = types["std_msgs/msg/Header"](time, "")
+    return types["sensor_msgs/msg/JointState"](header, list(joints), position, velocity, effort)
+
+
+def _efforts(joints: Sequence[str], u: Array) -> Any:
+    types, n = MESSAGES.types, len(joints)
+    layout = types["std_msgs/msg/MultiArrayDimension"](",".join(joints), n, n)
+    return types["std_msgs/msg/Float64MultiArray"](types["std_msgs/msg/MultiArrayLayout"]([layout], 0), u)
