@@ -43,7 +43,7 @@ LONGEST_FIRST = (
     "system/test_compare.py",
     "system/test_records.py",
     "system/test_identify.py",
-    "identification/test_record_checks.py",
+    "identification/records/test_checks.py",
     "system/test_limited_resources.py",
     "system/test_wiring_faults.py",
     "design/exports/ros2_control/test_plugins.py",

@@ -21,8 +21,8 @@ from docs.shell import exit_codes, only_fjr, script, syntax_error
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_design.studies import suite, sweep
-from fjr_identification import excitation
-from fjr_identification.record_map import read_map
+from fjr_identification.excitation import optimal_design
+from fjr_identification.records.record_map import read_map
 from system.executables import fjr_here, is_alive, python_here
 from system.shared_runs import shared_run
 from time_limits import HANG
@@ -63,7 +63,7 @@ def test_blocks_of_a_page_run_in_order(
     page: Path, reader_folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # `make build` leaves it out, too
-    monkeypatch.setattr(excitation, "STARTS", 1)  # of a search in which all starts take the same steps
+    monkeypatch.setattr(optimal_design, "STARTS", 1)  # of a search in which all starts take the same steps
     if page.stem in AFTER_THE_TUTORIAL:
         shutil.copytree(shared_run(tmp_path_factory, "paper_k31"), reader_folder / PLAIN_RUN)
     for name in LINKED:

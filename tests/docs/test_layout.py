@@ -70,10 +70,7 @@ LAYERS = {
     ),
     "fjr_identification": (
         "estimation",
-        "rigid_motion elastic_motion record_map page robot_file",
-        "motion_checks missing_sensors excitation",
-        "record_checks",
-        "read_record",
+        "records excitation page robot_file",
         "cli",
     ),
     "fjr_proofs": ("verification", "rate error_bound", "kept_rate check_rows"),

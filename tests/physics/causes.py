@@ -13,7 +13,7 @@ from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
 from fjr_identification.estimation.lack_of_fit import seen
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
-from fjr_identification.record_checks import findings
+from fjr_identification.records.checks import findings
 
 from .coverage import CASES, CAUSES, identified, read
 from .draws import Draws, drawn

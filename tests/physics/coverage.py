@@ -16,7 +16,7 @@ from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord, record_of_samples
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
-from fjr_identification.record_checks import findings
+from fjr_identification.records.checks import findings
 from fjr_identification.robot_file import NominalRobot, nominal_robot
 
 from . import laws

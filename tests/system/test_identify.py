@@ -15,9 +15,9 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import ParameterError
 from fjr_design.uncertainty.posterior import IDENTIFIED, LINEAR, LOG, UNKNOWN, WEAK, Estimate, Identification
-from fjr_identification import excitation
 from fjr_identification.cli.identify import unconfirmed
 from fjr_identification.estimation.validation import HoldOut
+from fjr_identification.excitation import optimal_design
 from fjr_identification.page import autocorrelation, groups
 from fjr_identification.robot_file import IdentifiedRobot, nominal_robot
 from fjr_msgs_py.console.ending import Exit
@@ -276,8 +276,8 @@ DURATION = 3.0
 
 @pytest.fixture
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(excitation, "STARTS", 1)
-    monkeypatch.setattr(excitation, "STEPS", 25)
+    monkeypatch.setattr(optimal_design, "STARTS", 1)
+    monkeypatch.setattr(optimal_design, "STEPS", 25)
 
 
 @pytest.mark.usefixtures("short_search")

@@ -27,10 +27,10 @@ from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
-from fjr_identification.missing_sensors import lacking
 from fjr_identification.page import fit_plots
-from fjr_identification.read_record import Reading, TimeWindow, read_record, record_of_table
-from fjr_identification.record_map import EFFORT, FILL_IN, LINK, MOTOR, TORQUE, TableMap, read_map, written_map
+from fjr_identification.records.missing_sensors import lacking
+from fjr_identification.records.reading import Reading, TimeWindow, read_record, record_of_table
+from fjr_identification.records.record_map import EFFORT, FILL_IN, LINK, MOTOR, TORQUE, TableMap, read_map, written_map
 from system.bags import rewritten
 from system.executables import fjr_here
 from system.shared_runs import shared_run

@@ -10,7 +10,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.motions.reference import Reference
-from fjr_identification.excitation import RestingSeries
+from fjr_identification.excitation.optimal_design import RestingSeries
 
 RNG = np.random.default_rng(4)
 K, N = 7, 3

@@ -30,7 +30,7 @@ from fjr_core.motions.piecewise_polynomial import PolynomialReference
 from fjr_core.motions.reference import Reference
 from fjr_core.motions.sine import common_period
 from fjr_core.motions.transition import Transition
-from fjr_identification.excitation import RestingSeries, logarithmic_harmonics
+from fjr_identification.excitation.optimal_design import RestingSeries, logarithmic_harmonics
 from fuzzing import refused
 
 

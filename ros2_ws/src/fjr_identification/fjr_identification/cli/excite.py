@@ -16,8 +16,8 @@ from fjr_core.files.text_file import write_text
 from fjr_core.law.linearized import rest_position
 from fjr_core.numerics.checks import Array
 from fjr_design.scaffold.first_loop import first_values
-from fjr_identification.elastic_motion import PARAMETERS, JointNoise, encoder_noise, motion_envelope
-from fjr_identification.excitation import Excitation, design
+from fjr_identification.excitation.elastic_motion import PARAMETERS, JointNoise, encoder_noise, motion_envelope
+from fjr_identification.excitation.optimal_design import Excitation, design
 from fjr_msgs_py.console.output import Result, aligned, phase, plural
 from fjr_msgs_py.scenarios import library
 from fjr_msgs_py.scenarios.library import ScenarioError

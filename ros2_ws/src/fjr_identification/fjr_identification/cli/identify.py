@@ -19,11 +19,11 @@ from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, Prior
 from fjr_identification.estimation.validation import HoldOut, hold_out
-from fjr_identification.missing_sensors import lacking
 from fjr_identification.page import HOLD_OUT, STIFFNESS, counted, hold_out_rows, reasons, springs_seen, write_page
-from fjr_identification.read_record import Reading, read_record
-from fjr_identification.record_map import read_map, written_map
-from fjr_identification.rigid_motion import KINDS
+from fjr_identification.records.missing_sensors import lacking
+from fjr_identification.records.reading import Reading, read_record
+from fjr_identification.records.record_map import read_map, written_map
+from fjr_identification.records.rigid_motion import KINDS
 from fjr_identification.robot_file import CORRECTED, GEAR_RATIO, IdentifiedRobot, NominalRobot, RobotFile, nominal_robot
 from fjr_msgs_py.console.output import Result, aligned, interval, json_text, note, number, plural, progress_bar, tell
 

@@ -177,6 +177,7 @@ def record_of_samples(
     q_m: Array,
     u: Array,
     torque: Array,
+    *,
     notes: Sequence[str] = (),
 ) -> tuple[MotionRecord, tuple[str, ...]]:
     """Return the record on a uniform grid that samples at t (k,) [s] make, and notes on what was substituted.

@@ -17,8 +17,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
+from ..estimation.motion_record import LEAST_MOTION, MotionRecord
 from . import missing_sensors, motion_checks
-from .estimation.motion_record import LEAST_MOTION, MotionRecord
 from .rigid_motion import AT_REST, CLIPPED, CONSTANT, JUMP, STUCK, TOO_SHORT, contradiction, rigid_motion
 
 SHORTEST = 200  # samples
@@ -126,14 +126,12 @@ def clipped(record: MotionRecord) -> Iterator[Finding]:
             continue
         changes = np.flatnonzero(np.diff(u)) + 1
         usual = float(np.median(np.diff(np.concatenate([[0], changes, [len(u)]]))))
-        steps = np.abs(np.diff(u))
-        resolution = float(np.min(steps[steps > 0]))
         for extreme in (np.max(u), np.min(u)):
             starts, lengths = _runs(u == extreme)
             start, length = int(starts[np.argmax(lengths)]), int(np.max(lengths))
             apart = [u[i] for i in (start - length, start + 2 * length - 1) if 0 <= i < len(u)]
             drop = max((abs(extreme - value) for value in apart), default=0.0)
-            if length >= CLIPPED_RUN * usual and drop > PEAK * resolution:
+            if length >= CLIPPED_RUN * usual and drop > PEAK * _resolution(u):
                 often = f"{100 * np.mean(u == extreme):.1f} % of the samples, up to {length} in a row"
                 seen = f"effort of {joint} is {extreme:.6g} N m at {often}"
                 yield contradiction(CLIPPED, joint, seen, "an effort that is not clipped")

@@ -11,8 +11,8 @@ import pytest
 import fjr_core as fjr
 from fjr_core.errors import TrajectoryError
 from fjr_core.runtime.safety_settings import Settings
-from fjr_identification import excitation
-from fjr_identification.elastic_motion import (
+from fjr_identification.excitation import optimal_design
+from fjr_identification.excitation.elastic_motion import (
     PARAMETERS,
     ElasticMotion,
     InformationModel,
@@ -21,7 +21,7 @@ from fjr_identification.elastic_motion import (
     encoder_noise,
     motion_envelope,
 )
-from fjr_identification.excitation import ExcitationDesign, design
+from fjr_identification.excitation.optimal_design import ExcitationDesign, design
 
 NOISE = JointNoise(np.full(2, 1e-5), np.full(2, 2e-5), np.full(2, 1e-2))
 SINE = fjr.Sine([0.5, 0.4], 2.0, phase=-np.pi / 2)
@@ -36,8 +36,8 @@ def limits(robot: fjr.Robot, reference: fjr.Sine = SINE, **given: float):
 @pytest.fixture(scope="module", autouse=True)
 def short_search():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(excitation, "STARTS", 1)
-        patch.setattr(excitation, "STEPS", 25)
+        patch.setattr(optimal_design, "STARTS", 1)
+        patch.setattr(optimal_design, "STEPS", 25)
         yield
 
 
@@ -68,7 +68,7 @@ def test_the_motion_tells_more_of_every_parameter_than_a_sine_within_the_same_li
 
 
 def test_equal_seeds_design_equal_motions(found, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(excitation, "STEPS", 5)
+    monkeypatch.setattr(optimal_design, "STEPS", 5)
     robot, bounds, _ = found
     first, second = (design(robot, bounds, NOISE, SINE, 2.0, 1e-3, seed=3).reference for _ in range(2))
     assert np.array_equal(first.amplitude, second.amplitude)

@@ -11,8 +11,8 @@ import pytest
 from docs.pages import ROOT
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Estimate, Identification
 from fjr_identification.cli.identify import table
-from fjr_identification.missing_sensors import LACKING, NOT_SEEN, lacking
 from fjr_identification.page import groups, reasons
+from fjr_identification.records.missing_sensors import LACKING, NOT_SEEN, lacking
 from system.motion_tables import one_joint, two_joints
 
 SENSORS = {"link": "link encoder", "motor": "motor encoder", "torque": "torque sensor"}

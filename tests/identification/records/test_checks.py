@@ -19,8 +19,8 @@ from core.oracles.elastic_joint import ElasticJoint
 from fjr_core.errors import RecordError
 from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.motion_record import MotionRecord, on_uniform_grid
-from fjr_identification.missing_sensors import LONGEST, _most_moving, least_seen
-from fjr_identification.record_checks import findings, jumps
+from fjr_identification.records.checks import findings, jumps
+from fjr_identification.records.missing_sensors import LONGEST, _most_moving, least_seen
 from system.motion_tables import MotionTable, one_joint, two_joints
 
 BOTH, MOTOR, SENSOR, LINK = ("link", "motor"), ("motor",), ("motor", "torque"), ("link", "torque")

@@ -24,8 +24,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
-from .estimation.elastic_arm import coulomb
-from .estimation.motion_record import SIGNALS, MotionRecord
+from ..estimation.elastic_arm import coulomb
+from ..estimation.motion_record import SIGNALS, MotionRecord
 from .rigid_motion import GEAR_RATIO, TIME, RigidMotion, contradiction, rigid_motion, spring_torques, without
 
 CUTOFF = 2.0  # Hz; well below resonances, which the rigid links do not have

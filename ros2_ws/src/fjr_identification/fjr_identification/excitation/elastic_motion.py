@@ -36,7 +36,7 @@ from fjr_core.motions.reference import JETS, Reference
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.safety_settings import Settings
 
-from .estimation.elastic_arm import coulomb
+from ..estimation.elastic_arm import coulomb
 
 INSTANTS = 2000  # of a reference that stands for missing limits
 ACCELERATION = 0.99  # of the limit, which the reference has to keep, not the robot

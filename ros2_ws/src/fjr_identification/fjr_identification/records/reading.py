@@ -22,9 +22,9 @@ from fjr_monitor.recording.files import BagError, Times
 from fjr_monitor.recording.signals import ANSWERS, EFFORTS, STATES, first_of_each_stamp, match_stamps
 from fjr_msgs_py.names import motor_name, state_names
 
+from ..estimation.motion_record import MotionRecord, record_of_samples
 from . import record_map
-from .estimation.motion_record import MotionRecord, record_of_samples
-from .record_checks import findings
+from .checks import findings
 
 TABLES = (".csv", ".csv.gz", ".txt", ".tsv", record_map.PARQUET)
 SCENARIO = "scenario.yaml"
@@ -150,10 +150,7 @@ def record_of_table(
     for name, columns in mapping.signals.items():
         for joint, column in columns.items():
             signals[name][:, joints.index(joint)] = column.factor * values[:, names.index(column.name)]
-    q_l, q_m, u, torque = (
-        signals[name] for name in (record_map.LINK, record_map.MOTOR, record_map.EFFORT, record_map.TORQUE)
-    )
-    return record_of_samples(path.name, joints, values[:, 0], q_l, q_m, u, torque)
+    return record_of_samples(path.name, joints, values[:, 0], *signals.values())
 
 
 def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:
@@ -237,7 +234,7 @@ def record_of_bag(
         raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
     q_l, q_m, u, tau = (table[:, 1 + i * n : 1 + (i + 1) * n] for i in range(4))
     _check_complete(path, {"positions of the links": q_l, "positions of the motors": q_m, "joint torques": tau}, joints)
-    return record_of_samples(path.name, joints, table[:, 0], q_l, q_m, u, tau, notes)
+    return record_of_samples(path.name, joints, table[:, 0], q_l, q_m, u, tau, notes=notes)
 
 
 def _messages(bag: Bag, columns: Mapping[str, Sequence[str]], window: TimeWindow) -> dict[str, Rows]:

@@ -18,10 +18,10 @@ import numpy as np
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
-from .estimation.elastic_arm import coulomb
-from .estimation.lack_of_fit import slipping_elements
-from .estimation.motion_record import MotionRecord
-from .estimation.parameters import LARGEST_SKEW
+from ..estimation.elastic_arm import coulomb
+from ..estimation.lack_of_fit import slipping_elements
+from ..estimation.motion_record import MotionRecord
+from ..estimation.parameters import LARGEST_SKEW
 from .rigid_motion import (
     DEGREES,
     GEAR_RATIO,

@@ -15,7 +15,7 @@ from fjr_core.motions.inverse_dynamics import spring_torque
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
-from .estimation.motion_record import MotionRecord
+from ..estimation.motion_record import MotionRecord
 
 AT_REST, CONSTANT, TOO_SHORT, CLIPPED = "at_rest", "constant", "too_short", "clipped"
 DEGREES, GEAR_RATIO, SIGN, SWAPPED, SCALE = "degrees", "gear_ratio", "sign", "swapped_sides", "effort_scale"
