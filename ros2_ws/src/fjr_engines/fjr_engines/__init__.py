@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulators of others behind the topics of the plant, and robots in their formats."""
+"""MuJoCo and Drake in place of the integrator of the plant; arms read and written as MJCF; films."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate of a run."""
+"""What is watched while the arm moves: the certificate V of the law, and the external torque on each joint."""

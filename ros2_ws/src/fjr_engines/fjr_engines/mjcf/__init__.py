@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots in MuJoCo's format."""
+"""Arms in MuJoCo's format, MJCF: specified, read and exported."""
 
 from fjr_core.errors import MissingPackageError
 
