@@ -56,16 +56,18 @@ def simulate(
     plant in Python.
     """
     try:
-        x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
+        checks.instance("plant", plant, Plant, StateError, "a plant, e.g. fjr.Plant(robot)")
         check_law(law)
+        x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
         check_joints(plant.robot, law.robot, reference)
         if inner_step is not None:
-            checks.positive("inner_step", inner_step, StateError)
-        if not (np.isfinite(delay) and delay >= 0) or (delay and sample_period is None):
-            raise StateError(f"delay is {delay} s; expected 0 or more with a sample_period, 0 in continuous time")
+            inner_step = checks.positive("inner_step", inner_step, StateError)
+        delay = checks.positive("delay", delay, StateError, zero=True)
+        if delay and sample_period is None:
+            raise StateError(f"delay is {delay} s; expected a sample_period with it, or 0 in continuous time")
         period = sample_period if sample_period is not None else inner_step or CONTINUOUS_STEP
-        checks.positive("duration", duration, StateError)
-        checks.positive("period", period, StateError)
+        duration = checks.positive("duration", duration, StateError)
+        period = checks.positive("sample_period", period, StateError)
         t = np.asarray(period * np.arange(int(duration / period + 1e-9) + 1), dtype=float)
         if sample_period is not None:
             return _sampled(plant, law, reference, x0, t, period, inner_step or INNER_STEP, delay)

@@ -220,15 +220,13 @@ def spectral_radius(
     sensing: Sensing | None = None,
 ) -> Array:
     """Return the spectral radii (k,) of the sampled loop at configurations (k, n); below 1: stable."""
-    checked_times(sample_period, delay)
-    return linearize(law, configurations, plant, sensing).radii(sample_period, delay)
+    times = checked_times(sample_period, delay)
+    return linearize(law, configurations, plant, sensing).radii(*times)
 
 
-def checked_times(sample_period: float, delay: float) -> None:
-    """Raise StateError unless the sample period [s] is positive and the delay [s] is not negative."""
-    positive("sample_period", sample_period, StateError)
-    if not (np.isfinite(delay) and delay >= 0):
-        raise StateError(f"delay is {delay} s; expected 0 or more")
+def checked_times(sample_period: float, delay: float) -> tuple[float, float]:
+    """Return sample period and delay [s]; raise StateError unless the first is positive and the other not negative."""
+    return positive("sample_period", sample_period, StateError), positive("delay", delay, StateError, zero=True)
 
 
 def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:

@@ -70,8 +70,8 @@ def synthesize(
     Raises GainsError if no gains of this family meet these conditions, with the largest reachable rate, and with the
     joint (one of `joints`, their names) whose spring is too fast for the loop.
     """
-    checked_times(sample_period, delay)
-    positive("beta", beta, GainsError, "1/s")
+    sample_period, delay = checked_times(sample_period, delay)
+    beta = positive("beta", beta, GainsError, "1/s")
     task = gain_search(robot, sample_period, delay, configurations, domain)
     gains = replace(task, plants=plants).best(beta)
     if gains is None and plants is not None and (own := task.best(beta)) is not None:
