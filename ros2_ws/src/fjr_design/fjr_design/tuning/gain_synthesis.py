@@ -29,6 +29,7 @@ from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, checked_c
 from fjr_core.model.robot import Robot
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array, positive
+from fjr_core.numerics.one_line import at_least
 from fjr_core.stability.linearization import SampledLoop, checked_times, closed_form
 
 from ..stability.sampled_loop import FEW, late_spring
@@ -220,7 +221,7 @@ def _reachable_by_all(task: GainSearch, plants: DrawnPlants, beta: float) -> str
     found = next((rate for rate in rates if whole.best(rate) is not None), None)
     if found is None:
         return f"so are all rates down to {rates[-1]:.3g} 1/s; expected narrower intervals of the parameters"
-    return f"expected at most {found:.3g} 1/s, or narrower intervals of the parameters"
+    return f"expected at most {at_least(found, 3)} 1/s, or narrower intervals of the parameters"
 
 
 def _reachable(task: GainSearch, beta: float, joints: Sequence[str]) -> str:
@@ -239,4 +240,4 @@ def _reachable(task: GainSearch, beta: float, joints: Sequence[str]) -> str:
         low, high = (middle, high) if few.reaches(middle) else (low, middle)
     while task.best(low) is None:
         low *= 0.95
-    return f"expected at most {low:.3g} 1/s{late or f', {remedy}'}"
+    return f"expected at most {at_least(low, 3)} 1/s{late or f', {remedy}'}"
