@@ -19,6 +19,7 @@ import fjr_core as fjr
 from fjr_core.config import robot_file, ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_core.files import text_file
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.monitoring.external_torque import ExternalTorqueObserver, StatedErrors
 from fjr_core.robust.law import Robust, RobustLaw
 from fjr_core.simulation.imperfections import Imperfections
@@ -242,6 +243,18 @@ def test_a_complex_reference_is_rejected(period: float | None) -> None:
             return np.full((*np.shape(t), 5, 2), 0.1j)
 
     refused(fjr.TrajectoryError, lambda: run(reference=Motion(), sample_period=period), "jets", "complex", "real")
+
+
+@pytest.mark.parametrize("law", [LAW, RobustLaw(LAW, Robust(delay=1e-3))], ids=["static", "with a lead"])
+def test_a_reference_of_single_times_is_rejected(law: SampledLaw) -> None:
+    class Motion:
+        n = 2
+
+        def jets(self, t: np.ndarray) -> np.ndarray:
+            return np.array([[np.sin(t)] * 2, [np.cos(t)] * 2, [-np.sin(t)] * 2, [-np.cos(t)] * 2, [np.sin(t)] * 2])
+
+    words = "jets of the reference have shape (5, 2, 11) at 11 times; expected (11, 5, 2)"
+    refused(fjr.TrajectoryError, lambda: run(law=law, reference=Motion()), words)
 
 
 def test_divergence_is_reported_with_its_time() -> None:

@@ -197,8 +197,6 @@ class StaticLaw(SampledLaw):
 
 def check_law(law: object) -> None:
     """Raise StateError unless `law` is a SampledLaw."""
-    expected = (
-        "a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), fjr.PythonLaw(own, robot), "
-        "or an object of a subclass of fjr_core.law.interfaces.SampledLaw"
-    )
+    expected = "a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), fjr.PythonLaw(own, robot), "
+    expected += "or an object of a subclass of fjr_core.law.interfaces.SampledLaw"
     instance("law", law, SampledLaw, StateError, expected)
