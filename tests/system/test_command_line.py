@@ -56,7 +56,7 @@ REFUSED = [
     ("check alias.yaml", 2, "has a YAML alias (*rate), which ROS 2"),
     ("check empty.yaml", 2, "scenario empty: is empty; expected a ROS 2 parameter file"),
     ("check arm7 --set robot.joint_stiffness:=[1.0]", 2, "'robot.joint_stiffness' has length 1; expected 7"),
-    ("check paper_k3p1 --set robust.integral_gain:=[40.0]", 2, "integral_gain is [40] 1/s, which makes the loop unst"),
+    ("check paper_k3p1 --set robust.integral_gain:=[40.0]", 2, "integral_gain is [40.0] 1/s, which makes the loop uns"),
     ("check paper_k31 --error payload=0.1 --error payload=0.2", 2, "'payload' is given 2 times; expected it once"),
     ("check two_link --error stiffness=0.1,0.2,0.3", 2, "'stiffness' is [0.1, 0.2, 0.3]; expected one number or 2"),
     (

@@ -19,9 +19,11 @@ import fjr_core as fjr
 from fjr_core.config import robot_file, ros_yaml
 from fjr_core.config.scenario import load_scenario
 from fjr_core.files import text_file
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.monitoring.external_torque import ExternalTorqueObserver, StatedErrors
 from fjr_core.robust.law import Robust, RobustLaw
 from fjr_core.simulation.imperfections import Imperfections
+from fjr_core.stability.linear_controller import Sensing
 from fuzzing import answer, bytes_of, documents, fuzzed, refused, texts
 from two_link_urdf import JOINTS, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 
@@ -59,6 +61,7 @@ MAKE: dict[str, tuple[type[fjr.FjrError], Callable[..., object]]] = {
     "observer": (fjr.ParameterError, partial(fjr.VelocityObserver, ROBOT)),
     "torque observer": (fjr.ParameterError, partial(ExternalTorqueObserver, ROBOT)),
     "stated errors": (fjr.ParameterError, partial(StatedErrors, 2)),
+    "sensing": (fjr.StateError, Sensing),
     "simulation": (fjr.StateError, run),
     "plant": (fjr.ParameterError, partial(fjr.Plant, ROBOT)),
 }
@@ -112,9 +115,10 @@ VALUES = [
     ("robust", {"integral_gain": 1.0, "hold": 0.0}, "hold is 0.0 s with an integral; expected more than 0"),
     ("robust", {"integral_gain": [1.0] * 3}, "integral_gain has shape (3,); expected a scalar or (2,)"),
     ("robust", {"motor_integral_gain": NAN}, "motor_integral_gain is nan; expected finite numbers"),
-    ("robust", {"delay": -1e-3}, "delay is -0.001 s; expected a finite number of 0 or more"),
+    ("robust", {"delay": -1e-3}, "delay is -0.001 s; expected 0 or more"),
+    ("robust", {"delay": "late"}, "delay is 'late'; expected numbers"),
     ("robust", {"delay": 1.0}, "delay is 1.0 s with a hold of 0.001 s; expected at most 32 holds"),
-    ("robust", {"delay": 1e-3, "hold": INF}, "hold is inf s; expected a finite number of 0 or more"),
+    ("robust", {"delay": 1e-3, "hold": INF}, "hold is inf s; expected 0 or more"),
     ("imperfections", {"coulomb_l": -0.1}, "coulomb_l is ", "expected"),
     ("imperfections", {"static_m": NAN}, "static_m is ", "expected finite"),
     ("imperfections", {"effort_limit": NAN}, "effort_limit is ", "expected"),
@@ -124,6 +128,8 @@ VALUES = [
     ("imperfections", {"ripple": "much"}, "ripple is 'much'", "expected"),
     ("observer", {"bandwidth": 0.0}, "expected a positive finite number"),
     ("observer", {"bandwidth": INF}, "expected a positive finite number"),
+    ("observer", {"bandwidth": "fast"}, "bandwidth is 'fast'; expected numbers"),
+    ("sensing", {"bandwidth": -150.0}, "bandwidth is -150.0 rad/s; expected a positive finite number"),
     ("torque observer", {"bandwidth": -1.0}, "bandwidth is -1.0 1/s; expected a positive finite number"),
     ("stated errors", {"link_mass": -0.1}, "link_mass is [-0.1, -0.1]; expected 0.0 to"),
     ("stated errors", {"torque_noise": 0.0}, "torque_noise is [0.0, 0.0] N m; expected 1e-09 to"),
@@ -134,11 +140,15 @@ VALUES = [
     ("simulation", {"x0": np.full(8, NAN)}, "x0", "nan", "finite"),
     ("simulation", {"x0": X + 0.1j}, "x0", "complex", "real"),
     ("simulation", {"duration": 0.0}, "duration", "0.0", "positive"),
-    ("simulation", {"sample_period": INF}, "period", "inf", "positive"),
+    ("simulation", {"duration": "long"}, "duration is 'long'; expected numbers"),
+    ("simulation", {"duration": None}, "duration is None s; expected a positive finite number"),
+    ("simulation", {"duration": [1.0, 2.0]}, "duration is [1.0, 2.0] s; expected a positive finite number"),
+    ("simulation", {"sample_period": INF}, "sample_period", "inf", "positive"),
     ("simulation", {"inner_step": NAN}, "nan", "positive"),
     ("simulation", {"delay": NAN}, "delay", "nan", "0 or more"),
     ("simulation", {"delay": 1e-3, "sample_period": None}, "delay", "0.001", "continuous"),
     ("simulation", {"reference": fjr.Sine(1.0, 1.0)}, "joints", "2", "1"),
+    ("simulation", {"plant": ROBOT}, "plant is a Robot; expected a plant, e.g. fjr.Plant(robot)"),
     ("simulation", {"plant": fjr.Plant(fjr.single_link())}, "x0", "(8,)", "(4,)"),
     ("simulation", {"plant": fjr.Plant(fjr.single_link()), "x0": np.zeros(4)}, "joints", "1", "2"),
 ]
@@ -211,6 +221,19 @@ def test_states_inputs_and_jets_of_the_wrong_shape_are_rejected(name: str) -> No
     refused(fjr.StateError, call, *words)
 
 
+def test_a_law_is_of_a_robot_and_its_gains() -> None:
+    refused(fjr.RobotError, lambda: fjr.TrackingLaw(fjr.Plant(ROBOT), fjr.PAPER_GAINS), "robot is a Plant; expected")
+    refused(fjr.GainsError, lambda: fjr.TrackingLaw(ROBOT, PAPER), "gains is a dict; expected gains")
+
+
+@pytest.mark.parametrize("exact", [np.float64, np.float32, np.array], ids=["double", "single", "array"])
+@pytest.mark.parametrize("name", ["sample_period", "inner_step", "delay", "duration"])
+def test_a_time_may_be_any_kind_of_number(name: str, exact: Callable[[float], float]) -> None:
+    """Powers of two are exact in single precision, so the runs are the same."""
+    values = {"sample_period": 2.0**-10, "inner_step": 2.0**-11, "delay": 2.0**-11, "duration": 2.0**-6, "x0": X + 0.1}
+    assert np.array_equal(run(**values | {name: exact(values[name])}).x, run(**values).x)
+
+
 @pytest.mark.parametrize("period", [1e-3, None])
 def test_a_complex_reference_is_rejected(period: float | None) -> None:
     class Motion:
@@ -220,6 +243,18 @@ def test_a_complex_reference_is_rejected(period: float | None) -> None:
             return np.full((*np.shape(t), 5, 2), 0.1j)
 
     refused(fjr.TrajectoryError, lambda: run(reference=Motion(), sample_period=period), "jets", "complex", "real")
+
+
+@pytest.mark.parametrize("law", [LAW, RobustLaw(LAW, Robust(delay=1e-3))], ids=["static", "with a lead"])
+def test_a_reference_of_single_times_is_rejected(law: SampledLaw) -> None:
+    class Motion:
+        n = 2
+
+        def jets(self, t: np.ndarray) -> np.ndarray:
+            return np.array([[np.sin(t)] * 2, [np.cos(t)] * 2, [-np.sin(t)] * 2, [-np.cos(t)] * 2, [np.sin(t)] * 2])
+
+    words = "jets of the reference have shape (5, 2, 11) at 11 times; expected (11, 5, 2)"
+    refused(fjr.TrajectoryError, lambda: run(law=law, reference=Motion()), words)
 
 
 def test_divergence_is_reported_with_its_time() -> None:

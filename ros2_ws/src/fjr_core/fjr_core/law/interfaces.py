@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..errors import StateError
 from ..model.robot import Robot
 from ..motions.reference import JETS
-from ..numerics.checks import Array, kind_of
+from ..numerics.checks import Array, instance
 from ..numerics.jit import compiled
 from ..numerics.one_line import joints, one_line
 from ..numerics.symbolic import dense_function, evaluate
@@ -197,8 +197,6 @@ class StaticLaw(SampledLaw):
 
 def check_law(law: object) -> None:
     """Raise StateError unless `law` is a SampledLaw."""
-    if not isinstance(law, SampledLaw):
-        raise StateError(
-            f"law is {kind_of(law)}; expected a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), "
-            "fjr.PythonLaw(own, robot), or an object of a subclass of fjr_core.law.interfaces.SampledLaw"
-        )
+    expected = "a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), fjr.PythonLaw(own, robot), "
+    expected += "or an object of a subclass of fjr_core.law.interfaces.SampledLaw"
+    instance("law", law, SampledLaw, StateError, expected)

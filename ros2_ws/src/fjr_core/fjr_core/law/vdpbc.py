@@ -12,11 +12,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import GainsError, RobotError
 from ..files import importing
 from ..model import springs
 from ..model.robot import Robot
 from ..motions.domain import GOAL, MOST_BOXES, Domain
-from ..numerics.checks import Array
+from ..numerics.checks import Array, instance
 from ..numerics.jit import compiled_from_inputs
 from ..numerics.one_line import one_line
 from ..numerics.symbolic import dense_function, evaluate, symbols
@@ -136,6 +137,8 @@ class TrackingLaw(StaticLaw):
     """
 
     def __init__(self, robot: Robot, gains: Gains, compile: bool = False) -> None:
+        instance("robot", robot, Robot, RobotError, "a robot, e.g. fjr.single_link()")
+        instance("gains", gains, Gains, GainsError, "gains, e.g. fjr.PAPER_GAINS")
         super().__init__(robot, gains.checked(robot.n), compile)
 
     def effort(self, x_v: ArrayLike, x: ArrayLike, jets: ArrayLike, omega: ArrayLike = 0.0) -> Array:

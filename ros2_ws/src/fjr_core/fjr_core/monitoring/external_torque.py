@@ -55,8 +55,8 @@ class ExternalTorqueObserver:
         return f"{type(self).__name__}({self.robot!r}, bandwidth={brief(self.bandwidth)} 1/s)"
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
-        positive("bandwidth", bandwidth, ParameterError, "1/s")
-        self.robot, self.bandwidth, self._compile = robot, float(bandwidth), compile
+        self.robot, self._compile = robot, compile
+        self.bandwidth = positive("bandwidth", bandwidth, ParameterError, "1/s")
 
     @property
     def start(self) -> Array:

@@ -61,9 +61,8 @@ class PointToPoint(PolynomialReference):
     def __post_init__(self) -> None:
         freeze(self, "q0", joint_vector("q0", self.q0))
         freeze(self, "q1", checks.vector("q1", self.q1, np.size(self.q0), TrajectoryError))
-        positive("duration", self.duration)
-        if not (np.isfinite(self.dwell) and self.dwell >= 0):
-            raise TrajectoryError(f"dwell is {self.dwell} s; expected 0 or more")
+        object.__setattr__(self, "duration", positive("duration", self.duration))
+        object.__setattr__(self, "dwell", positive("dwell", self.dwell, zero=True))
         times, jets = [0.0, self.duration], [standing(self.q0), standing(self.q1)]
         if self.returns:
             back = self.duration + self.dwell
@@ -102,7 +101,7 @@ class Circle(Reference):
             )
         for name in ("radius", "frequency", "phase"):
             object.__setattr__(self, name, number(name, getattr(self, name)))
-        positive("ramp", self.ramp)
+        object.__setattr__(self, "ramp", positive("ramp", self.ramp))
 
     @property
     def n(self) -> int:

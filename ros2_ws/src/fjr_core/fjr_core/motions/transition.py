@@ -73,7 +73,7 @@ def transition(jets0: ArrayLike, t0: float, target: Reference, duration: float) 
     jets0 = checks.finite("jets0", jets0, TrajectoryError)
     if jets0.shape != (JETS, target.n):
         raise TrajectoryError(f"jets0 has shape {jets0.shape}; expected ({JETS}, {target.n}), value and derivatives")
-    positive("duration", duration)
+    duration = positive("duration", duration)
     t0 = number("t0", t0)
     t1 = t0 + duration
     while isinstance(target, Transition) and target.transition_end <= t1:

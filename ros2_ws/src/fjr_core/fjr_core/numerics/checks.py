@@ -127,10 +127,20 @@ def number(name: str, value: ArrayLike) -> float:
     return float(vector(name, value, 1, TrajectoryError)[0])
 
 
-def positive(name: str, value: float, error: type[FjrError] = TrajectoryError, unit: str = "s") -> None:
-    """Raise `error` unless `value` is positive and finite."""
-    if not (np.isfinite(value) and value > 0):
-        raise error(f"{name} is {value} {unit}; expected a positive finite number")
+def positive(
+    name: str, value: Any, error: type[FjrError] = TrajectoryError, unit: str = "s", zero: bool = False
+) -> float:
+    """Return `value` as one number; raise `error` unless it is finite and positive. zero: permit 0."""
+    array = floats(name, value, error)
+    if array.size != 1 or not np.isfinite(array).all() or array.min() < 0 or not (zero or array.all()):
+        raise error(f"{name} is {value} {unit}; expected {'0 or more' if zero else 'a positive finite number'}")
+    return array.item()
+
+
+def instance(name: str, value: object, kind: type, error: type[FjrError], expected: str) -> None:
+    """Raise `error` unless `value` is an object of `kind`; expected: for the message."""
+    if not isinstance(value, kind):
+        raise error(f"{name} is {kind_of(value)}; expected {expected}")
 
 
 def kind_of(value: object) -> str:

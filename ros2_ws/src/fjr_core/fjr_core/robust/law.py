@@ -56,16 +56,12 @@ class Robust:
             if not np.all((array >= 0) & (array <= FASTEST)):
                 raise GainsError(f"{name} is {array.tolist()} 1/s; expected 0 to {FASTEST:g}")
             array.setflags(write=False)
-        for name, value in (("delay", self.delay), ("hold", self.hold)):
-            if not (np.isfinite(value) and value >= 0):
-                raise GainsError(f"{name} is {value} s; expected a finite number of 0 or more")
-        if self.delay and not self.delay <= LONGEST_DELAY * self.hold:
-            raise GainsError(
-                f"delay is {self.delay} s with a hold of {self.hold} s; expected at most {LONGEST_DELAY} holds"
-            )
-        checked = replace(self, **gains)  # type: ignore[arg-type]
-        if checked.integrates and not self.hold:
-            raise GainsError(f"hold is {self.hold} s with an integral; expected more than 0")
+        delay, hold = (checks.positive(k, getattr(self, k), GainsError, zero=True) for k in ("delay", "hold"))
+        if delay > LONGEST_DELAY * hold:
+            raise GainsError(f"delay is {delay} s with a hold of {hold} s; expected at most {LONGEST_DELAY} holds")
+        checked = replace(self, **gains, delay=delay, hold=hold)
+        if checked.integrates and not hold:
+            raise GainsError(f"hold is {hold} s with an integral; expected more than 0")
         return checked
 
     @property

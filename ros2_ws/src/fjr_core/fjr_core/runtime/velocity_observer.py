@@ -75,10 +75,8 @@ class VelocityObserver:
         return f"VelocityObserver({self.robot!r}, bandwidth={brief(self.bandwidth)} rad/s)"
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
-        positive("bandwidth", bandwidth, ParameterError, "rad/s")
-        self.robot = robot
-        self.bandwidth = float(bandwidth)
-        self._compile = compile
+        self.robot, self._compile = robot, compile
+        self.bandwidth = positive("bandwidth", bandwidth, ParameterError, "rad/s")
         self._n = n = robot.n
         self._x_hat, self._y = np.zeros(4 * n), np.zeros(2 * n)
         self._dq_l, self._dq_m = self._x_hat[2 * n : 3 * n], self._x_hat[3 * n :]

@@ -56,19 +56,20 @@ def simulate(
     plant in Python.
     """
     try:
-        x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
+        checks.instance("plant", plant, Plant, StateError, "a plant, e.g. fjr.Plant(robot)")
         check_law(law)
+        x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
         check_joints(plant.robot, law.robot, reference)
-        if inner_step is not None:
-            checks.positive("inner_step", inner_step, StateError)
-        if not (np.isfinite(delay) and delay >= 0) or (delay and sample_period is None):
-            raise StateError(f"delay is {delay} s; expected 0 or more with a sample_period, 0 in continuous time")
-        period = sample_period if sample_period is not None else inner_step or CONTINUOUS_STEP
-        checks.positive("duration", duration, StateError)
-        checks.positive("period", period, StateError)
+        usual = CONTINUOUS_STEP if sample_period is None else INNER_STEP
+        inner_step = checks.positive("inner_step", usual if inner_step is None else inner_step, StateError)
+        delay = checks.positive("delay", delay, StateError, zero=True)
+        if delay and sample_period is None:
+            raise StateError(f"delay is {delay} s; expected a sample_period with it, or 0 in continuous time")
+        period = inner_step if sample_period is None else checks.positive("sample_period", sample_period, StateError)
+        duration = checks.positive("duration", duration, StateError)
         t = np.asarray(period * np.arange(int(duration / period + 1e-9) + 1), dtype=float)
         if sample_period is not None:
-            return _sampled(plant, law, reference, x0, t, period, inner_step or INNER_STEP, delay)
+            return _sampled(plant, law, reference, x0, t, period, inner_step, delay)
         if not isinstance(law, StaticLaw):
             kind = type(law).__name__
             raise StateError(f"law is a {kind} without a sample_period; expected a StaticLaw or a sample_period")
@@ -99,9 +100,9 @@ def _sampled(
     delay: float,
 ) -> Trajectory:
     """Simulate sample by sample."""
-    n, run = plant.robot.n, _empty_trajectory(plant.robot, t, reference.jets(t))
+    n, run = plant.robot.n, _empty_trajectory(plant.robot, t, _jets(reference, t))
     x, u, V, none = x0.copy(), np.zeros(n), np.zeros(1), np.zeros(n)
-    jets = reference.jets(t + law.lead) if law.lead else run.jets
+    jets = _jets(reference, t + law.lead) if law.lead else run.jets
     evaluate_law = _bound_law(plant, law, x, u, V)
     segments = _segments(plant, x, period, delay, inner_step)
     for k in range(len(t)):
@@ -173,9 +174,9 @@ def _bound_law(plant: Plant, law: SampledLaw, x: Array, u: Array, V: Array) -> C
 
 
 def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t: Array, dt: float) -> Trajectory:
-    step, run = _closed_loop_step(plant, law, dt), _empty_trajectory(plant.robot, t, reference.jets(t))
+    step, run = _closed_loop_step(plant, law, dt), _empty_trajectory(plant.robot, t, _jets(reference, t))
     run.x[0] = x0
-    stages = np.stack([reference.jets(instant) for instant in (t[:-1], t[:-1] + dt / 2, t[1:])])
+    stages = np.stack([run.jets[:-1], _jets(reference, t[:-1] + dt / 2), run.jets[1:]])
     most = 1 if plant.in_python or law.in_python else STEPS
     several = cache(lambda count: NumericFunction(step.mapaccum(count)))  # the last ones are fewer
     for k in range(0, len(t) - 1, most):
@@ -210,7 +211,15 @@ def _diverged(t: float) -> StateError:
 
 def _empty_trajectory(robot: Robot, t: Array, jets: Array) -> Trajectory:
     x, u, V = np.empty((len(t), 4 * robot.n)), np.empty((len(t), robot.n)), np.empty(len(t))
-    return Trajectory(t, x, u, checks.floats("jets of the reference", jets, TrajectoryError), V, robot.units)
+    return Trajectory(t, x, u, jets, V, robot.units)
+
+
+def _jets(reference: Reference, t: Array) -> Array:
+    """Return q_ld .. d4q_ld (k, 5, n) at times t (k,) [s]; raise TrajectoryError, as a user may write the reference."""
+    jets = checks.floats("jets of the reference", reference.jets(t), TrajectoryError)
+    if jets.shape != (shape := (len(t), JETS, reference.n)):
+        raise TrajectoryError(f"jets of the reference have shape {jets.shape} at {len(t)} times; expected {shape}")
+    return jets
 
 
 class PlotError(FjrError):

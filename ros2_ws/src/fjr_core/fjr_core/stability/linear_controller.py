@@ -18,12 +18,13 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from ..errors import StateError
 from ..law.interfaces import ARGUMENTS, SampledLaw, StaticLaw
 from ..law.linearized import Equilibria, Indices, feedback, plant_matrices, slope_at_rest
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..motions.point_to_point import standing
-from ..numerics.checks import Array
+from ..numerics.checks import Array, positive
 from ..runtime.velocity_observer import LONGEST_CALL, corrections, steps_of
 
 DIRECTIONS = 16  # columns of a Jacobian per evaluation
@@ -64,11 +65,15 @@ class Sensing:
     """Measurements of the law.
 
     bandwidth [rad/s]: of the velocity observer; None: velocities are measured. by_torque: motor positions are computed
-    from joint torque sensors, q_m = q_l + K^-1 tau with the K of the law.
+    from joint torque sensors, q_m = q_l + K^-1 tau with the K of the law. Raises StateError for another bandwidth.
     """
 
     bandwidth: float | None = None
     by_torque: bool = False
+
+    def __post_init__(self) -> None:
+        if self.bandwidth is not None:
+            object.__setattr__(self, "bandwidth", positive("bandwidth", self.bandwidth, StateError, "rad/s"))
 
     @property
     def plain(self) -> bool:

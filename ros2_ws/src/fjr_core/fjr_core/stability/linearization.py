@@ -16,6 +16,7 @@ from ..law.vdpbc import TrackingLaw
 from ..model.configuration_sampling import checked_configurations, sample_configurations
 from ..model.port_hamiltonian import Plant
 from ..numerics.checks import Array, positive
+from ..numerics.one_line import at_least
 from ..robust.law import Robust, sampled_law
 from .linear_controller import (
     At,
@@ -30,7 +31,7 @@ from .linear_controller import (
 OTHER_LAWS = 64  # configurations at which a law without a closed form is checked
 INTEGRAL_GAINS = ("integral_gain", "motor_integral_gain")
 FEW_FOR_INTEGRAL = 3  # sampled configurations at which the loop with integral action is evaluated
-BISECTIONS = 7  # of the logarithm of the factor on the integral gains, between LEAST_FACTOR and 1
+BISECTIONS = 10  # of the logarithm of the factor on the integral gains, between LEAST_FACTOR and 1
 LEAST_FACTOR = 1e-4
 
 
@@ -220,15 +221,13 @@ def spectral_radius(
     sensing: Sensing | None = None,
 ) -> Array:
     """Return the spectral radii (k,) of the sampled loop at configurations (k, n); below 1: stable."""
-    checked_times(sample_period, delay)
-    return linearize(law, configurations, plant, sensing).radii(sample_period, delay)
+    times = checked_times(sample_period, delay)
+    return linearize(law, configurations, plant, sensing).radii(*times)
 
 
-def checked_times(sample_period: float, delay: float) -> None:
-    """Raise StateError unless the sample period [s] is positive and the delay [s] is not negative."""
-    positive("sample_period", sample_period, StateError)
-    if not (np.isfinite(delay) and delay >= 0):
-        raise StateError(f"delay is {delay} s; expected 0 or more")
+def checked_times(sample_period: float, delay: float) -> tuple[float, float]:
+    """Return sample period and delay [s]; raise StateError unless the first is positive and the other not negative."""
+    return positive("sample_period", sample_period, StateError), positive("delay", delay, StateError, zero=True)
 
 
 def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:
@@ -245,9 +244,6 @@ def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:
         sampled = sampled_law(law, replace(robust, **rates))  # type: ignore[arg-type]
         return bool(spectral_radius(sampled, robust.hold, robust.delay, configurations).max() < 1)
 
-    def listed(rates: Array) -> str:
-        return "[" + ", ".join(f"{rate:.2g}" for rate in np.atleast_1d(rates)) + "]"
-
     if stable(1.0) or not stable(0.0):
         return
     low, high = LEAST_FACTOR, 1.0
@@ -255,8 +251,8 @@ def refuse_fast_integral(law: StaticLaw, robust: Robust) -> None:
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if stable(middle) else (low, middle)
     gains = {name: np.asarray(getattr(robust, name)) for name in INTEGRAL_GAINS if np.any(getattr(robust, name))}
-    given = ", ".join(f"{name} is {listed(gain)}" for name, gain in gains.items())
-    most = " and ".join(listed(low * gain) for gain in gains.values())
+    given = ", ".join(f"{name} is {gain.tolist()}" for name, gain in gains.items())
+    most = " and ".join(f"[{', '.join(at_least(low * rate, 3) for rate in gain)}]" for gain in gains.values())
     raise GainsError(
         f"{given} 1/s, which makes the loop unstable at a hold of {robust.hold:g} s; expected at most {most} 1/s"
     )

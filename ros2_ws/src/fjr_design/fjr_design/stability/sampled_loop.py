@@ -31,7 +31,7 @@ from fjr_core.law.linearized import Equilibria, Indices, equilibria_at, plant_ma
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import Array, instance
 from fjr_core.numerics.one_line import one_line
 from fjr_core.stability.linear_controller import Sensing
 from fjr_core.stability.linearization import SampledLoop, checked_times, closed_form, linearize, loop_configurations
@@ -100,11 +100,12 @@ def check(
     A static loop is then checked at all just within the margins, for delays up to MOST_STATES states; others are not.
     Raises StateError for a sample period that is not positive, a negative delay or one over LATEST, and wrong shapes.
     """
-    checked_times(sample_period, delay)
+    sample_period, delay = checked_times(sample_period, delay)
     if delay > LATEST * sample_period:
         raise StateError(f"the loop's delay is {delay:g} s; expected at most {LATEST} samples of {sample_period:g} s")
     check_law(law)
     q_l, plant, sensing = loop_configurations(law, configurations), plant or Plant(law.robot), sensing or Sensing()
+    instance("plant", plant, Plant, StateError, "a plant, e.g. fjr.Plant(robot)")
     static = isinstance(law, StaticLaw)
     if len(q_l) > (FEW if static else 2 * WITH_STATE) and plant.robot.n == law.robot.n:
         below, own = law.static, equilibria_at(law.robot, q_l)

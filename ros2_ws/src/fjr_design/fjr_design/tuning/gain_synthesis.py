@@ -29,6 +29,7 @@ from fjr_core.model.configuration_sampling import RATE_CONFIGURATIONS, checked_c
 from fjr_core.model.robot import Robot
 from fjr_core.motions.domain import Domain
 from fjr_core.numerics.checks import Array, positive
+from fjr_core.numerics.one_line import at_least
 from fjr_core.stability.linearization import SampledLoop, checked_times, closed_form
 
 from ..stability.sampled_loop import FEW, late_spring
@@ -70,8 +71,8 @@ def synthesize(
     Raises GainsError if no gains of this family meet these conditions, with the largest reachable rate, and with the
     joint (one of `joints`, their names) whose spring is too fast for the loop.
     """
-    checked_times(sample_period, delay)
-    positive("beta", beta, GainsError, "1/s")
+    sample_period, delay = checked_times(sample_period, delay)
+    beta = positive("beta", beta, GainsError, "1/s")
     task = gain_search(robot, sample_period, delay, configurations, domain)
     gains = replace(task, plants=plants).best(beta)
     if gains is None and plants is not None and (own := task.best(beta)) is not None:
@@ -220,7 +221,7 @@ def _reachable_by_all(task: GainSearch, plants: DrawnPlants, beta: float) -> str
     found = next((rate for rate in rates if whole.best(rate) is not None), None)
     if found is None:
         return f"so are all rates down to {rates[-1]:.3g} 1/s; expected narrower intervals of the parameters"
-    return f"expected at most {found:.3g} 1/s, or narrower intervals of the parameters"
+    return f"expected at most {at_least(found, 3)} 1/s, or narrower intervals of the parameters"
 
 
 def _reachable(task: GainSearch, beta: float, joints: Sequence[str]) -> str:
@@ -239,4 +240,4 @@ def _reachable(task: GainSearch, beta: float, joints: Sequence[str]) -> str:
         low, high = (middle, high) if few.reaches(middle) else (low, middle)
     while task.best(low) is None:
         low *= 0.95
-    return f"expected at most {low:.3g} 1/s{late or f', {remedy}'}"
+    return f"expected at most {at_least(low, 3)} 1/s{late or f', {remedy}'}"

@@ -107,7 +107,7 @@ def bound_errors(
     a common period nor an end within 60 s; StateError unless the sample period is positive and the delay not negative;
     CompilerError without a C compiler.
     """
-    checked_times(sample_period, delay)
+    sample_period, delay = checked_times(sample_period, delay)
     known = *PARAMETERS, *TORQUES, DELAY
     for name in errors:
         if name not in known:
