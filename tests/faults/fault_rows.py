@@ -316,10 +316,10 @@ ROWS = [
     Row("every state sent twice, 1 s", "tracks", tampered(1.0, twice), 0.1, counted=("states repeated",)),
     Row(
         "one state repeated, 200 ms",
-        "holds the effort of that state; a transition leads back to the reference",
+        "holds the effort of that state for 0.1 s, then has none; a transition leads back to the reference",
         tampered(0.2, frozen),
         1.0,
-        counted=("states repeated", "forward jumps", "recoveries"),
+        counted=("states repeated", "silences", "recoveries"),
     ),
     Row(
         "values of one state repeated under new stamps, 200 ms",

@@ -21,6 +21,16 @@ def test_older_sample_has_no_command_and_a_repeated_one_the_same_command() -> No
     assert tracker.counters == {"states older than the last": 1, "states repeated": 2}
 
 
+def test_one_sample_sent_again_and_again_is_a_silence_until_a_newer_one_comes() -> None:
+    tracker, last = running(state_timeout=0.1), SECOND + 200 * MS
+    answered = [tracker.command(sample(last, 0.5, 0.5), last + k * MS) is not None for k in range(1, 150)]
+    assert answered == [k <= 100 for k in range(1, 150)]
+    assert tracker.silence(last + 150 * MS) is not None
+    assert tracker.command(sample(last, 0.5, 0.5), last + 151 * MS) is None
+    assert tracker.command(sample(last + 160 * MS, 0.5, 0.5), last + 160 * MS) is not None
+    assert tracker.counters["recoveries"] == 1
+
+
 @pytest.mark.parametrize(
     ("before", "stamp", "arrival"),
     [(299 * MS, 300 * MS, 902 * MS), (300 * MS, 300 * MS, 902 * MS), (None, 890 * MS, 1_500 * MS)],

@@ -194,7 +194,7 @@ class Journal:
         if kind in SIMPLE:
             return SIMPLE[kind].format(joints=", ".join(joints)), {}
         if kind == "silences":
-            return f"no valid state for more than {found.value:g} s: the stop effort is sent", {}
+            return f"no new valid state for more than {found.value:g} s: the stop effort is sent", {}
         if kind == "recoveries":
             what = f"transition to the reference within {found.value:.3g} s" if found.value else "tracking at once"
             return f"recovery: {what}{self._after_gap(found.stamp)}", {}

@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
  * The order of samples, from their stamps and times of arrival: late, repeated, jumped, or after a silence.
  *
- * FJR_OLDER: older by less than the timeout, soon after a newer one: delivered late. FJR_BACK: older by more, or after
- * nothing newer arrived for that long; it starts another time line (a robot that was reset, a bag that loops).
- * FJR_FORWARD: newer by more than the timeout, although less time has passed. FJR_LATE: after a silence. FJR_GAP: newer
- * by more than LONGEST_GAP, after as long a pause of the arrivals, where samples came more often before. The last three
- * end a gap of the same time line. FJR_DOUBTED: a jump not yet confirmed by another sample. FJR_STALE: a newer sample
- * follows.
+ * FJR_OLDER: older by less than the timeout, soon after a newer one: delivered late; or the last one again, although a
+ * silence followed. FJR_BACK: older by more, or after nothing newer arrived for that long; it starts another time line
+ * (a robot that was reset, a bag that loops). FJR_FORWARD: newer by more than the timeout, although less time has
+ * passed. FJR_LATE: after a silence, which in real time a repeated sample does not end. FJR_GAP: newer by more than
+ * LONGEST_GAP, after as long a pause of the arrivals, where samples came more often before. The last three end a gap of
+ * the same time line. FJR_DOUBTED: a jump not yet confirmed by another sample. FJR_STALE: a newer sample follows.
  *
  * Samples that waited while this process was paused come at once when it goes on, oldest first. After a pause of the
  * arrivals a sample whose age (arrival - stamp) has grown waits for a newer one, for at most WAITING: the last of them
@@ -28,7 +28,7 @@
 static int waits(struct fjr_stamps* s, int simulated, int64_t stamp, int64_t arrival) {
   const int waited = s->waiting != FJR_NEVER;
   s->waiting = FJR_NEVER;
-  if (simulated || s->last == FJR_NEVER || stamp < s->last) return 0;
+  if (simulated || s->last == FJR_NEVER || stamp <= s->last) return 0;
   const int64_t age = arrival - stamp;
   if (age - s->usual_age <= LATER || (!waited && arrival - s->arrival <= PAUSE)) return 0;
   const int64_t looked = arrival - s->falling_since;
@@ -62,6 +62,7 @@ static enum fjr_order classify(struct fjr_stamps* s, int simulated, int64_t stam
   const int64_t ahead = stamp - s->last;
   const int late = arrival - s->arrival > s->timeout;
   if (ahead < 0 && late) return FJR_BACK;
+  if (!ahead && late && !simulated) return FJR_OLDER;
   if (ahead >= 0 && (s->silent || (late && !simulated))) return FJR_LATE;
   if (ahead > s->timeout || ahead < -s->timeout)
     return jump(s, simulated, stamp, before, ahead < 0 ? FJR_BACK : FJR_FORWARD);
@@ -77,7 +78,8 @@ static int64_t accept_stamp(struct fjr_stamps* s, int64_t stamp, int64_t arrival
   s->usual_age += (age - s->usual_age) / SLOWLY;
   if (elapsed) s->interval = elapsed;
   if (elapsed > s->timeout) elapsed = s->timeout;
-  s->last = stamp, s->arrival = arrival, s->silent = 0;
+  if (stamp != s->last) s->arrival = arrival;
+  s->last = stamp, s->silent = 0;
   return elapsed;
 }
 
