@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -24,6 +24,7 @@ from fjr_core.config.robot import description
 from fjr_msgs_py.names import LATCHED
 from fjr_msgs_py.native.loop import NO_TIME
 from fjr_plant import plant_node
+from fjr_plant.host import NativePlantHost
 from fjr_plant.native import plant_program
 from fjr_plant.plant_node import PlantConflictError, PlantNode
 from nodes.harness import Peer, Ros, nanoseconds
@@ -101,6 +102,29 @@ def test_stamps_are_the_exact_times_of_the_states_also_after_ticks_that_were_ski
     ros.until(lambda: node._health.count["ticks skipped"] >= skipped + 45, "the counter")
     ros.settle()
     assert_one_motion(in_motion(peer), state_of(peer.states[0]), node._time_base.offset, effort=0.3)
+
+
+def test_the_native_loop_applies_a_command_from_the_first_inner_step_at_or_after_its_arrival(
+    ros: Ros, peer: Peer
+) -> None:
+    node = peer.plant(command_timeout=100.0)
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: in_motion(peer), "motion")
+    base, lib = node._time_base, plant_program().lib
+    assert isinstance(base.host, NativePlantHost)
+    data = serialize_message(command(-0.3))
+
+    def arrive() -> int:
+        """Return the robot time [ns] at which a command arrives."""
+        now = base.host.now()
+        assert not lib.fjr_real_time_command(base.plant, 0, data, len(data), now, plant_program().ffi.NULL)
+        return now - base.plant.origin
+
+    before = -(-base.host.run(arrive) // INNER)
+    ros.until(lambda: time_in_motion(node, peer) > (before + 100) * INNER, "states")
+    x = integrate(state_of(peer.states[0]), 0.3, before)
+    after = [state for state in in_motion(peer) if nanoseconds(state) >= base.offset + before * INNER]
+    assert_one_motion(after, x, base.offset + before * INNER, effort=-0.3)
 
 
 def test_last_command_is_held_until_command_timeout(ros: Ros, peer: Peer) -> None:
@@ -273,6 +297,38 @@ def test_commands_act_and_end_by_the_clock(ros: Ros, peer: Peer) -> None:
     expected = integrate(integrate(start, 0.3, 20), 0.0, 60)
     np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
     assert player.node._health.count["command timeouts"] == 1
+
+
+@pytest.mark.parametrize(("after", "delay"), [(1, 0), (100_000, 0), (INNER, 0), (100_000, 300_000), (INNER, 2 * INNER)])
+def test_a_command_acts_from_the_first_inner_step_at_or_after_its_arrival(
+    ros: Ros, peer: Peer, after: int, delay: int
+) -> None:
+    """Never earlier: it answers a state of before. after, delay [ns]: since a tick, and of its channel."""
+    player = Player(ros, peer, wait_for_command=False, imperfections__command_delay=delay * 1e-9)
+    player.play(50 * SECOND)
+    player.run(50 * SECOND, 2)
+    x = state_of(peer.states[-1])
+    player.play(50 * SECOND + 2 * PERIOD + after)
+    for effort in (0.2, 0.3):  # the second one replaces the first
+        peer.effort_publisher.publish(command(effort))
+        ros.until(lambda effort=effort: player.node._health.count["commands received"] == round(10 * effort) - 1)
+    player.run(50 * SECOND + 3 * PERIOD, 2)
+    before = -(-(after + delay) // INNER)
+    expected = integrate(integrate(x, 0.0, before), 0.3, 12 - before)
+    assert nanoseconds(peer.states[-1]) == 50 * SECOND + 5 * PERIOD
+    np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
+
+
+def test_a_reset_forgets_a_command_that_has_not_acted(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, wait_for_command=False, restart_silence=0.0)
+    player.play(50 * SECOND)
+    player.run(50 * SECOND, 2)
+    player.play(50 * SECOND + 2 * PERIOD + 1)
+    peer.effort_publisher.publish(command(0.3))
+    ros.until(lambda: player.node._health.count["commands received"] == 1)
+    peer.reset()
+    player.run(50 * SECOND + 3 * PERIOD, 5)
+    assert_one_motion(peer.states[-5:], effort=0.0)
 
 
 def test_forward_jump_is_integrated_partly_and_counted(ros: Ros, peer: Peer) -> None:

@@ -118,7 +118,7 @@ class TimeBase(ABC):
         """Return struct fjr_plant."""
         program, values, n = self._program, self._node.values, len(self._node.values["joints"])
         ffi = program.ffi
-        self._arrays = [np.zeros(2 + 6 * n), np.zeros(2 + 6 * n), np.zeros(n)]
+        self._arrays = [np.zeros(2 + 6 * n), np.zeros(2 + 6 * n), np.zeros(n), np.zeros(n)]
         self._pointers = [program.array(each) for each in self._arrays]
         named = names.state_names(values["joints"])
         lengths = ((2 * n, 0, 2 * n), (2 * n, 2 * n, 2 * n))
@@ -128,12 +128,12 @@ class TimeBase(ABC):
         plant.states, plant.commands = transport.states.pointer, transport.commands.pointer
         plant.times = transport.times.pointer
         plant.state = [message.pointer for message in self._messages]
-        plant.sample, plant.held, plant.effort = self._pointers
+        plant.sample, plant.held, plant.effort, plant.coming = self._pointers
         plant.notify, plant.refusals = self._events.notify, self._refusals.pointer
         plant.command_timeout = round(values["command_timeout"] * 1e9)
         plant.paused = values["start_paused"]
         plant.by_stamps = bool(self._node.get_parameter("use_sim_time").value)
-        plant.origin = plant.late_at = plant.between = plant.awaited = plant.other = NO_TIME
+        plant.origin = plant.late_at = plant.between = plant.awaited = plant.other = plant.acts_at = NO_TIME
         return plant
 
     def _show_contact(self) -> None:
@@ -193,7 +193,7 @@ class TimeBase(ABC):
 
     def _reset(self) -> None:
         self._robot.reset()
-        self.plant.last_command = 0
+        self.plant.last_command, self.plant.acts_at = 0, NO_TIME
         self._transport.reset()
         self._call("restart")
 
@@ -282,7 +282,7 @@ class TimeBase(ABC):
 
 
 class RealTime(TimeBase):
-    """Time base that applies /effort_controller/commands at once and publishes a state at every tick of the clock.
+    """Time base that applies /effort_controller/commands and publishes a state at every tick of the clock.
 
     The clock is the steady one or, with use_sim_time, an external /clock (real_time.c). Robot time stands still until
     the first command (wait_for_command), while paused, and while the clock stands still or is 0. After a reset or a

@@ -87,7 +87,7 @@ int fjr_lock_step_command(void* self, int32_t source, const uint8_t* data, size_
   }
   const int first = !p->heard;
   if (first && tell(p, FJR_FIRST_ANSWER, 0)) return failed(p, FJR_REFUSED);
-  take_effort(p, p->answer->value[2]);
+  take_effort(p, p->robot->time, p->answer->value[2]);
   p->awaited = FJR_NO_TIME, p->heard = 1;
   ++p->count[FJR_RECEIVED];
   if (first) tell(p, FJR_MOVING, 0);

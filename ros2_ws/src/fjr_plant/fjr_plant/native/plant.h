@@ -57,6 +57,7 @@ struct fjr_plant {
   double* sample;                      /* (2 + 6n) */
   double* held;                        /* (2 + 6n) lock-step: first sample, sent when the robot runs */
   double* effort;                      /* (n) */
+  double* coming;                      /* (n) command that acts from the inner step at or before acts_at on */
   void* host;
   int (*send)(void* host, int32_t output, const struct fjr_message* message);
   void (*settle)(void* host, int32_t output); /* wait until subscribers have received what was sent; NULL: do not */
@@ -68,6 +69,7 @@ struct fjr_plant {
   int32_t touched;                     /* the obstacle, at the last sample */
   int64_t offset;                      /* stamp of robot time 0 */
   int64_t command_timeout, last_command;
+  int64_t acts_at;                     /* robot time, FJR_NO_TIME: `coming` has acted */
   int64_t left;                        /* samples of an advance */
   int64_t reported, shown;             /* stamps of the last FJR_SECOND and of the last sample */
   int64_t count[FJR_COUNTERS];

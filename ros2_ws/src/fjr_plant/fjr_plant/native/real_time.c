@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Real time: robot time follows the clock. Commands act at once, a state leaves at every tick.
+ * Real time: robot time follows the clock. A command acts from the first inner step at or after its arrival, a state
+ * leaves at every tick.
  *
  * A stamp is the node time at which robot time started or resumed, plus the time integrated since. While waiting for
  * the first command, a state is stamped with the node time, and integration starts from the last such state. Stamps
@@ -179,11 +180,11 @@ int fjr_real_time_command(void* self, int32_t source, const uint8_t* data, size_
   p->answered = 1;
   if (!p->waiting) {
     if (catch_up(p, now)) return p->fault;
-    take_effort(p, p->effort);
+    take_effort(p, now - p->origin + p->robot->inner_step - 1, p->effort); /* no inner step that began before acts */
     return 0;
   }
   p->waiting = 0, p->origin = now - p->robot->time; /* the last published state is that of the present robot time */
-  take_effort(p, p->effort);                        /* acts from the first instant of motion */
+  take_effort(p, p->robot->time, p->effort);        /* acts from the first instant of motion */
   tell(p, FJR_MOVING, 0);
   return 0;
 }

@@ -61,12 +61,17 @@ static void apply(struct fjr_plant* p, const double* effort) {
   p->last_command = p->robot->time;
 }
 
-/* Take a command, which acts at once or after its channel delay. */
-static void take_effort(struct fjr_plant* p, const double* effort) {
-  if (p->commands->on)
-    fjr_channel_push(p->commands, p->robot->time, effort);
-  else
+/* Take a command, which acts from the last inner step at or before a robot time on, later by its channel delay. A newer
+ * one replaces it if it has not acted by then. */
+static void take_effort(struct fjr_plant* p, int64_t time, const double* effort) {
+  if (p->commands->on) {
+    fjr_channel_push(p->commands, time, effort);
+  } else if (time - p->robot->time < p->robot->inner_step) {
     apply(p, effort);
+  } else {
+    memcpy(p->coming, effort, (size_t)p->robot->n * sizeof(double));
+    p->acts_at = time;
+  }
 }
 
 static int advance(struct fjr_plant* p, int64_t time) { return failed(p, fjr_robot_advance(p->robot, time)); }
@@ -86,6 +91,11 @@ static int integrate_held(struct fjr_plant* p, int64_t time) {
 /* Advance the robot; commands in transit take effect at their instants. */
 static int integrate(struct fjr_plant* p, int64_t time) {
   const double* effort;
+  if (p->acts_at <= time) {
+    if (integrate_held(p, p->acts_at)) return p->fault;
+    apply(p, p->coming);
+    p->acts_at = FJR_NO_TIME;
+  }
   while (p->commands->on && fjr_channel_next(p->commands) <= time && p->commands->count) {
     const int64_t instant = fjr_channel_next(p->commands);
     if (integrate_held(p, instant)) return p->fault;
