@@ -229,6 +229,15 @@ def test_invalid_ros_domain_is_one_sentence_in_every_command_and_node(
         assert start(node).end() == (1, f"cannot start: {sentence.format(domain)}\n")
 
 
+def test_security_without_keys_is_one_sentence(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
+    monkeypatch.delenv("ROS_SECURITY_KEYSTORE", raising=False)
+    sentence = "ROS_SECURITY_KEYSTORE is not set; expected the folder of the keys that ROS_SECURITY_STRATEGY demands"
+    assert fjr_here("echo", "/joint_states", "--once", code=1) == f"fjr: {sentence}\n"
+    assert start("controller").end() == (1, f"cannot start: {sentence}\n")
+
+
 def test_waiting_for_one_view_or_message_ends_and_names_domain_and_remedy(ros: Ros) -> None:
     domain = os.environ["ROS_DOMAIN_ID"]
     for command, waited in (("watch", "no state and no diagnostics for 0.5 s on /joint_states, /diagnostics"),

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ament_index_python.packages import get_package_prefix
 
 from build_wheels import PACKAGES
 from envsetup.workspace import quote_paths
@@ -30,7 +29,7 @@ from fjr_monitor.report.write import write_with_fallback
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.node.loading import ensure_log_folder
 from system.bags import TALKER
-from system.executables import Start, fjr_here, installed
+from system.executables import PROGRAMS, Start, fjr_here, installed
 from time_limits import HANG
 from two_link_urdf import two_link_urdf
 
@@ -193,13 +192,23 @@ def test_scripts_and_nodes_start_from_a_path_with_spaces(tmp_path: Path) -> None
     assert [_said(str(node), "a b") for node in nodes] == ["['a b']\n"] * 2
 
 
-def test_fjr_by_its_path_without_a_sourced_workspace_says_so() -> None:
-    """As cron and sudo start it, without the variables of the shell."""
-    program = str(Path(get_package_prefix("fjr_bringup"), "bin", "fjr"))
-    done = subprocess.run([program, "scenarios"], env={"PATH": os.defpath}, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("given", [{}, {"AMENT_PREFIX_PATH": "/opt/ros"}], ids=["nothing", "no Python path"])
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_program_by_its_path_without_a_sourced_workspace_says_so(program: str, given: dict[str, str]) -> None:
+    """As systemd, cron and sudo start it, without the variables of the shell."""
+    bare = {"PATH": os.defpath, **given}
+    done = subprocess.run(installed(program), env=bare, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("fjr: no workspace is sourced in this shell; expected . ros2_ws/install/setup.sh")
+    name = PROGRAMS[program][1]
+    assert done.stderr.startswith(f"{name}: no workspace is sourced in this shell; expected . ros2_ws/install/setup.sh")
     assert done.stderr.count("\n") == 1
+
+
+def test_a_table_is_printed_in_a_locale_that_lacks_its_dash() -> None:
+    ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    code = "from fjr_msgs_py.node.loading import prepare; prepare('fjr'); print('\\N{EN DASH}')"
+    done = subprocess.run([sys.executable, "-c", code], env=ascii_only, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "?\n", "")
 
 
 def _said(*command: str) -> str:

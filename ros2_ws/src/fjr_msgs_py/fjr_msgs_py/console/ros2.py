@@ -31,19 +31,15 @@ def installed_files(kind: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
-def ros2_path() -> str | None:
-    """Return the path of the ROS command line; None if it is not installed, as with ROS 2 from wheels."""
-    return shutil.which("ros2")
-
-
 def play_command(bag: Path) -> str:
     """Return the command that plays a bag: that of ROS 2 if its command line is installed, otherwise of fjr."""
-    return f"{'ros2 bag play' if ros2_path() else 'fjr play'} {shlex.quote(str(bag))}"
+    player = "ros2 bag play" if shutil.which("ros2") else "fjr play"
+    return f"{player} {shlex.quote(str(bag))}"
 
 
 def refuse_over_ros2(command: str, advantage: str, force: bool) -> None:
     """Raise FjrError, naming the `command` of ros2 to use, if ros2 is on the PATH, unless forced."""
-    if not force and (found := ros2_path()):
+    if not force and (found := shutil.which("ros2")):
         from fjr_core.errors import FjrError  # loads CasADi
 
         raise FjrError(f"{found} does this better: use `{command}` ({advantage}), or add --force")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import signal
 import sys
@@ -88,6 +89,8 @@ def prepare(program: str, interrupted: int = 0) -> None:
         signal.signal(number, lambda *_: os._exit(interrupted))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     require_resources(program)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a locale may lack the dash of a table
     with suppress(OSError), open("/proc/self/comm", "w", encoding="ascii") as comm:
         comm.write(program)  # which ps, top and killall show in place of the interpreter (Linux)
     gc.disable()
@@ -115,7 +118,10 @@ def domain() -> str:
 
 
 def domain_fault() -> str:
-    """Return what is wrong with ROS_DOMAIN_ID, for which Fast DDS ends the process; "" if nothing is."""
+    """Return what is wrong with ROS_DOMAIN_ID or the security of ROS 2, which end the process; "" if nothing is."""
+    secured = [os.environ.get(f"ROS_SECURITY_{name}", "") for name in ("ENABLE", "STRATEGY", "KEYSTORE")]
+    if secured == ["true", "Enforce", ""]:
+        return "ROS_SECURITY_KEYSTORE is not set; expected the folder of the keys that ROS_SECURITY_STRATEGY demands"
     given = domain()
     if given.isascii() and given.isdigit() and int(given) <= LARGEST_DOMAIN:
         return ""
