@@ -253,6 +253,17 @@ def test_an_inertia_that_no_body_has_is_a_warning(caplog: pytest.LogCaptureFixtu
     ]
 
 
+def test_millimetres_and_degrees_are_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    read(limited('<limit lower="-1e16" upper="1e16"/>'), ["shoulder"])
+    assert not caplog.records
+    read(limited('<limit lower="-170" upper="170"/>'), ["shoulder"])
+    read(TWO.replace('"0 0 -0.1"', '"0 0 -200"').replace('"0 0 -0.3"', '"0 0 -300"'))
+    said = [record.getMessage() for record in caplog.records]
+    assert "the origin of joint 'elbow' is 300 m away; expected at most 50" in said
+    assert "joint 'shoulder' has limits of 170 rad; expected at most 50" in said
+    assert "the centre of mass of link 'upper' is 200 m away; expected at most 50" in said
+
+
 # Invalid input: one sentence, nothing printed.
 
 POINT = link("lower", 1.0, 0.0, ZERO)

@@ -23,6 +23,7 @@ _log = logging.getLogger("fjr_core.model")
 BASE = ""
 """Name of the joint in front of all named ones, which carries what never moves."""
 WIDEST = 5.0  # m, radius of gyration
+IN_SI, UNLIMITED = 50.0, 5000.0  # m, rad; a number between them is in millimetres or degrees
 MOST_CONTROLLED = 64
 """Largest number of joints; the size of the law's expressions grows with its square."""
 
@@ -65,6 +66,7 @@ def robot_from_urdf(
     tree = read_urdf(path_or_xml)
     named = _named(tree, joints)
     _check_links(tree, joints)
+    _check_units(tree, named)
     bodies = reduced_bodies(tree, joints, _locked_positions(tree, joints, dict(locked or {})))
     chain = list(bodies)
     links = serial_chain(list(bodies.values()), gravity, [chain.index(name) for name in joints])
@@ -122,6 +124,18 @@ def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
     if tree.faulty:
         which = "it" if len(tree.faulty) == 1 else "them"
         _warn(f"{'; '.join(tree.faulty.values())}; ignored, since no chosen joint moves {which}")
+
+
+def _check_units(tree: UrdfTree, named: Sequence[UrdfJoint]) -> None:
+    """Warn, once in a process, of lengths in millimetres and ranges in degrees."""
+    moved = sorted(tree.moved_by([joint.name for joint in named]) & tree.inertias.keys())
+    sizes = [(f"the centre of mass of link '{link}' is", tree.inertias[link].com, "m away") for link in moved]
+    sizes += [(f"the origin of joint '{joint.name}' is", np.array(joint.xyz), "m away") for joint in named]
+    turning = [joint for joint in named if joint.kind == "revolute"]
+    sizes += [(f"joint '{joint.name}' has limits of", np.array(joint.limits[:2]), "rad") for joint in turning]
+    for what, values, unit in sizes:
+        if IN_SI < (size := np.max(np.abs(values))) < UNLIMITED:
+            _warn(f"{what} {size:.3g} {unit}; expected at most {IN_SI:g}")
 
 
 @cache
