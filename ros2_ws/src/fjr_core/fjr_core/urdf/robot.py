@@ -66,7 +66,6 @@ def robot_from_urdf(
     tree = read_urdf(path_or_xml)
     named = _named(tree, joints)
     _check_links(tree, joints)
-    _check_units(tree, named)
     bodies = reduced_bodies(tree, joints, _locked_positions(tree, joints, dict(locked or {})))
     chain = list(bodies)
     links = serial_chain(list(bodies.values()), gravity, [chain.index(name) for name in joints])
@@ -95,6 +94,10 @@ def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
             raise RobotError(f"joint '{name}' mimics '{joint.mimics[0]}'; expected joints that move by themselves")
         if joint.kind not in MOVING:
             raise RobotError(f"joint '{name}' is {joint.kind}; expected a {', '.join(MOVING)} joint")
+        lower, upper, *_ = joint.limits
+        if any(IN_SI < abs(value) < UNLIMITED for value in (*joint.xyz, lower, upper)):
+            where = f"the origin {joint.xyz} m and limits of {lower:g} and {upper:g}"
+            _warn(f"joint '{name}' has {where}; expected m and rad, at most {IN_SI:g}")
     return [tree.joints[name] for name in joints]
 
 
@@ -124,18 +127,6 @@ def _check_links(tree: UrdfTree, joints: Sequence[str]) -> None:
     if tree.faulty:
         which = "it" if len(tree.faulty) == 1 else "them"
         _warn(f"{'; '.join(tree.faulty.values())}; ignored, since no chosen joint moves {which}")
-
-
-def _check_units(tree: UrdfTree, named: Sequence[UrdfJoint]) -> None:
-    """Warn, once in a process, of lengths in millimetres and ranges in degrees."""
-    moved = sorted(tree.moved_by([joint.name for joint in named]) & tree.inertias.keys())
-    sizes = [(f"the centre of mass of link '{link}' is", tree.inertias[link].com, "m away") for link in moved]
-    sizes += [(f"the origin of joint '{joint.name}' is", np.array(joint.xyz), "m away") for joint in named]
-    turning = [joint for joint in named if joint.kind == "revolute"]
-    sizes += [(f"joint '{joint.name}' has limits of", np.array(joint.limits[:2]), "rad") for joint in turning]
-    for what, values, unit in sizes:
-        if IN_SI < (size := np.max(np.abs(values))) < UNLIMITED:
-            _warn(f"{what} {size:.3g} {unit}; expected at most {IN_SI:g}")
 
 
 @cache

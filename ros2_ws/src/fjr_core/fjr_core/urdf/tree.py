@@ -105,9 +105,7 @@ class UrdfTree:
             leader, multiplier, shift = joint.mimics
             scale, offset = scale * multiplier, scale * shift + offset
             if leader in named:
-                raise RobotError(
-                    f"joint '{joint.name}' mimics the named joint '{leader}'; expected it to be independent"
-                )
+                raise RobotError(f"joint '{joint.name}' mimics the named joint '{leader}'; expected independence")
             joint = self.joint(leader)
         raise RobotError(f"joint '{joint.name}' mimics itself; expected another joint")
 

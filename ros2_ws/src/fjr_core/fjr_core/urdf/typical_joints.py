@@ -30,7 +30,6 @@ ACCELERATION = 10.0  # rad/s^2, m/s^2
 CONFIGURATIONS = 128
 DIGITS = 2
 THINNEST = 1e-3  # m; least radius of gyration of real links about their joint; those of public URDFs have 13 mm or more
-CHECKED_CONFIGURATIONS = 64
 
 
 class TypicalJoints(NamedTuple):
@@ -70,7 +69,7 @@ def joints_without_inertia(robot: Robot) -> dict[int, str]:
     """
     if not robot.links.bodies:
         return {}
-    M_l = np.array([robot.M_l(q_l) for q_l in sample_configurations(robot, CHECKED_CONFIGURATIONS)])
+    M_l = np.array([robot.M_l(q_l) for q_l in sample_configurations(robot, CONFIGURATIONS)])
     inertia = np.diagonal(M_l, axis1=1, axis2=2).min(axis=0)
     slides, bodies = robot.prismatic or (False,) * robot.n, robot.links.bodies
     mass = [sum(body.mass for body in bodies[place:]) for place in robot.links.order]
