@@ -19,8 +19,9 @@ from system.executables import NODES, Executable, Start, wait_for
 pytestmark = pytest.mark.system
 
 
-def test_sigterm_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, start: Start) -> None:
-    """Ctrl-C: test_fjr_command.py."""
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, start: Start, number: int) -> None:
+    """SIGHUP comes when the terminal closes, as at the end of an ssh session. Ctrl-C: test_fjr_command.py."""
     peer = Peer(ros)
     controller = start("controller")
 
@@ -31,11 +32,11 @@ def test_sigterm_ends_the_controller_with_zero_effort_and_exit_code_0(ros: Ros, 
 
     ros.until(answered, "an answer")
     np.testing.assert_allclose(peer.commands[-1].effort, paper_effort(0.0, 0.5, 0.5), rtol=1e-9)
-    controller.signal(signal.SIGTERM)
+    controller.signal(number)
     ros.until(
         lambda: peer.efforts and peer.efforts[-1].data[0] == 0.0 == peer.commands[-1].effort[0], "the last effort"
     )
-    ended_by(controller, signal.SIGTERM)
+    ended_by(controller, number)
 
 
 def ended_by(executable: Executable, number: int) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
@@ -14,11 +15,11 @@ from runpy import run_path
 
 import click
 
-from fjr_msgs_py.console.ending import HELP, Exit, in_own_session, interruptible, uninterruptible
+from fjr_msgs_py.console.ending import HELP, Exit, in_own_session
 from fjr_msgs_py.console.options import COMMANDS
 from fjr_msgs_py.console.output import tell
 from fjr_msgs_py.console.provenance import begin_command
-from fjr_msgs_py.node.loading import prepare, resume_garbage_collection
+from fjr_msgs_py.node.loading import on_signals, prepare, resume_garbage_collection
 
 ALL = "fjr.all_commands"
 """Key of a context whose help shows all commands."""
@@ -57,7 +58,7 @@ def program() -> int:
 
 
 def _loaded() -> None:
-    interruptible()
+    on_signals(signal.default_int_handler)  # raises KeyboardInterrupt, except within `stoppable`
     resume_garbage_collection()
 
 
@@ -85,7 +86,7 @@ class Application(click.Group):
         except (click.ClickException, click.exceptions.Exit):
             raise
         except KeyboardInterrupt:
-            uninterruptible()
+            on_signals(signal.SIG_IGN)
             tell("stopped")
             return Exit.INTERRUPTED
         except BrokenPipeError:  # the reader of standard output, such as head, has ended

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a command ends: its exit code, and an orderly shutdown on SIGINT and SIGTERM."""
+"""How a command ends: its exit code, and an orderly shutdown on signals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
 
-from ..node.loading import SIGNALS
+from ..node.loading import SIGNALS, on_signals
 
 
 class Exit(IntEnum):
@@ -48,7 +48,7 @@ class Interrupted(Exception):  # noqa: N818 (not an error)
 
 @contextmanager
 def stoppable() -> Iterator[threading.Event]:
-    """Yield an event that SIGINT and SIGTERM set instead of ending the process; use in the main thread only.
+    """Yield an event that SIGNALS set instead of ending the process; use in the main thread only.
 
     A second signal has no effect: shutting down takes seconds and has its own time limits.
     """
@@ -68,7 +68,7 @@ def in_own_session() -> int | None:
     """Go on in a child process with a session of its own: return None there, and here its exit code once it has ended.
 
     Linux divides the cores among sessions (autogroup, sched(7)): a recorder in the session of a terminal waits for as
-    long as a second while other programs of that terminal are busy. SIGINT and SIGTERM are passed on; the child gets
+    long as a second while other programs of that terminal are busy. SIGNALS are passed on; the child gets
     SIGTERM when this process dies. Call it before any thread is started.
     """
     if sys.platform != "linux":
@@ -89,21 +89,9 @@ def in_own_session() -> int | None:
         received = signal.sigwait(waited)
         if received != signal.SIGCHLD:
             os.kill(child, received)
-    uninterruptible()
+    on_signals(signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_SETMASK, before)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     if code < 0:
         print(f"fjr: the recorder was ended by {signal.Signals(-code).name}", file=sys.stderr)
     return code if code >= 0 else 128 - code
-
-
-def interruptible() -> None:
-    """Raise KeyboardInterrupt in the main thread on SIGINT and SIGTERM, except within `stoppable`."""
-    for number in SIGNALS:
-        signal.signal(number, signal.default_int_handler)
-
-
-def uninterruptible() -> None:
-    """Ignore SIGINT and SIGTERM; use when the process is about to end."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 OPEN_FILES, ADDRESS_SPACE = 64, 1_200_000_000
 """What a program with a ROS 2 node needs at least: descriptors, and bytes of address space, of which few are used."""
@@ -75,18 +76,25 @@ def middleware_of_wheels(program: str) -> None:
         print(f"{program}: RMW_IMPLEMENTATION is {wanted}, which is not installed; {own} is used", file=sys.stderr)
 
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_HANGUP = () if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else (signal.SIGHUP,)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, *_HANGUP)
+"""What ends a process in order: also the terminal that closes, as at the end of an ssh session, unless under nohup."""
+
+
+def on_signals(handler: Any) -> None:
+    """Handle SIGNALS by a function or signal.SIG_IGN from now on."""
+    for number in SIGNALS:
+        signal.signal(number, handler)
 
 
 def prepare(program: str, interrupted: int = 0) -> None:
     """Set up the process of an executable: signals, limits, name, garbage, threads, packages, middleware.
 
-    interrupted: exit code on SIGINT or SIGTERM, at once, until process.run() replaces the handlers; the installed
+    interrupted: exit code on SIGNALS, at once, until process.run() replaces the handlers; the installed
     executables block both while Python starts (scripts/ in each package). Garbage is not collected until
     `resume_garbage_collection`: modules are no garbage, and looking for it takes a quarter of the start.
     """
-    for number in SIGNALS:
-        signal.signal(number, lambda *_: os._exit(interrupted))
+    on_signals(lambda *_: os._exit(interrupted))
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     require_resources(program)
     if isinstance(sys.stdout, io.TextIOWrapper):

@@ -8,7 +8,6 @@ which has no topics, stands in until the real one is built. Further contexts hav
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -19,7 +18,7 @@ import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
-from .loading import SIGNALS, domain_fault, ensure_log_folder
+from .loading import domain_fault, ensure_log_folder, on_signals
 from .scheduling import ahead_of_new_threads, step_back
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ _discovered_at: float | None = None
 
 
 def join() -> None:
-    """Initialise rclpy with the command line of the process, and join; SIGINT and SIGTERM leave and exit from then on.
+    """Initialise rclpy with the command line of the process, and join; signals leave and exit from then on.
 
     Fast DDS announces a participant before it listens, and another one on this machine answers at once: the answer is
     lost unless the thread that receives it waits meanwhile. Without it the other one is discovered at its next periodic
@@ -66,8 +65,7 @@ def join() -> None:
         with context, ahead_of_new_threads() as ahead:
             _hidden = rclpy_implementation.Node(f"_starting_{os.getpid()}", "/", context, None, False, False)
         _discovered_at = time.monotonic() + _crowd() * (SOON if ahead else LATER)
-        for number in SIGNALS:
-            signal.signal(number, _exit)
+        on_signals(_exit)
 
 
 def initialise(args: list[str] | None) -> None:

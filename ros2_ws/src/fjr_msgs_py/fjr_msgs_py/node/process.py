@@ -7,7 +7,6 @@ An FjrError of a callback ends the node; a request or message that raises anythi
 from __future__ import annotations
 
 import gc
-import signal
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +29,7 @@ from fjr_core.config.process import NATIVE, process_settings
 
 from ..names import STEADY
 from . import participant
-from .loading import index_modules, resume_garbage_collection
+from .loading import index_modules, on_signals, resume_garbage_collection
 from .scheduling import apply_process_settings, freeze_garbage, yield_to_loops
 
 try:
@@ -141,15 +140,14 @@ def fill_refusal(request: Any, response: Any = None, *, sentence: str) -> None:
 
 
 def run(make_node: Callable[[], EndingNode], args: list[str] | None = None) -> int:
-    """Run a node until SIGINT or SIGTERM; return the exit code.
+    """Run a node until a signal ends it; return the exit code.
 
     Exit code 0: ended by a signal. 1: could not start, or ended by an FjrError; one sentence on standard error gives
     the reason. A started node always gets node.stop(); an unexpected exception then propagates to the caller.
     Exceptions of tasks of the events executor cannot be caught: rclpy 7.1.6 crashes, so a task must not raise.
     """
     stopped: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda received, _: stopped.append(received))
+    on_signals(lambda received, _: stopped.append(received))
     node = None
     try:
         participant.initialise(args)
