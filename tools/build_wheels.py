@@ -12,8 +12,8 @@ import tempfile
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
+from envsetup.commands import PREFIX, SetupError, clean_environment, run
 from envsetup.environment import FILES_ONLY, entries, pins, requirement_name
-from envsetup.machine import PREFIX, SetupError, clean_environment, run
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = tuple(sorted(file.parent.name for file in ROOT.glob("ros2_ws/src/*/setup.py")))

@@ -50,7 +50,17 @@ class BadRate(Rising):
     rate = -1.0
 
 
+class Driving(own_code.Wrapped):
+    hold_damping = -0.3
+
+
+class NoDamping(own_code.Wrapped):
+    hold_damping = "some"
+
+
 FAULTY_LAWS = {
+    "a damping that drives": (Driving(JOINT), "hold_damping is [[-0.3]]; expected no negative eigenvalue"),
+    "no damping": (NoDamping(JOINT), "NoDamping.hold_damping is 'some'; expected numbers"),
     "a rate too high": (own_code.Wrapped(JOINT, claimed=100.0), "expected at most -2 rate V = "),
     "V that rises": (Rising(JOINT), "dV/dt is "),
     "V without a rate of change": (Infinite(JOINT), "dV/dt is nan W at q_l = "),

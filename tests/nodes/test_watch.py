@@ -115,6 +115,16 @@ def test_timing_covers_the_last_seconds() -> None:
     assert timing.unanswered == 20
 
 
+def test_a_clock_that_is_set_back_restarts_the_timing() -> None:
+    watched, hour = Watched("t"), 3_600_000 * MS
+    watched.sent([(k * MS, hour + k * MS) for k in range(100)])
+    watched.sent([(k * MS, k * MS) for k in range(100, 5000)])
+    timing = watched.view(5.0).timing
+    assert timing.rate == pytest.approx(1000.0)
+    assert timing.period == pytest.approx((1e-3, 1e-3, 1e-3))
+    assert len(watched._sent) < 2100
+
+
 def test_repeated_state_counts_once_and_a_reset_restarts_the_timing() -> None:
     watched = Watched("t")
     watched.sent([(10 * MS, 1), (10 * MS, 50 * MS), (11 * MS, 51 * MS)])

@@ -33,7 +33,7 @@ from std_msgs.msg import String
 from fjr_bringup.runner import JOINT_COMMANDS, _Run
 from fjr_monitor.recording import bag as reader
 from fjr_monitor.recording.bag import header_stamp, in_order, read_bag
-from fjr_monitor.recording.files import Topic
+from fjr_monitor.recording.files import Topic, files_of
 from fjr_monitor.recording.message_types import type_hash
 from fjr_monitor.recording.recorder import QUEUE_DEPTH, BagWriter, Recorder, Track
 from fjr_monitor.recording.topics import due
@@ -120,7 +120,8 @@ def test_every_byte_is_in_the_bag_in_order_of_growing_send_times(recorded: tuple
 
 
 def test_joints_are_columns_by_name(recorded: tuple[Path, list[bytes]]) -> None:
-    table = read_bag(recorded[0]).joints("/joint_states", ("shoulder", "elbow", "wrist"))
+    bag = read_bag(recorded[0])
+    table = bag.table(bag.topic("/joint_states"), ("shoulder", "elbow", "wrist"))
     k = np.arange(COUNT)
     np.testing.assert_array_equal(table.position[:, :2], np.column_stack([k, -k]))
     assert np.isnan(table.position[:, 2]).all()
@@ -302,6 +303,31 @@ def test_messages_come_by_receive_time(tmp_path: Path, storage: StoragePlugin) -
     texts(tmp_path / "bag", storage, [3, 1, 2, 5, 4])
     assert [message.log_time for _, message in in_order(tmp_path / "bag", {MODEL})] == [1, 2, 3, 4, 5]
     assert not list(in_order(tmp_path / "bag", {STATES}))
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda each: each.name)
+def test_receive_times_go_on_where_the_clock_stepped_back(tmp_path: Path, storage: StoragePlugin) -> None:
+    """So that the bag is played in its own time, not after an hour."""
+    hour, now = 3600 * 10**9, 2 * 3600 * 10**9
+    texts(tmp_path / "bag", storage, [now, now + PERIOD, now + 2 * PERIOD - hour, now + 3 * PERIOD - hour])
+    times = [message.log_time - now for _, message in in_order(tmp_path / "bag", {MODEL})]
+    assert times == [0, PERIOD, PERIOD + 1, 2 * PERIOD + 1]  # the step takes a nanosecond
+    bag = read_bag(tmp_path / "bag")
+    assert (bag.topics[MODEL].first, bag.topics[MODEL].last) == (now, now + 2 * PERIOD + 1)
+    assert bag.notes == ("the clock stepped back by 3599.95 s: send times go on from there",)
+
+
+def test_files_of_a_split_bag_come_by_number_and_of_separate_ones_by_time(tmp_path: Path) -> None:
+    """A file of earlier times than the one before it, by name, shows no step of the clock."""
+    hour, bag = 3600 * 10**9, tmp_path / "bag"
+    bag.mkdir()
+    times = {f"split_{k}": k * hour for k in range(1, 12)} | {"upstairs": 30 * 60 * 10**9}
+    for name, at in times.items():
+        texts(tmp_path / name, StoragePlugin.MCAP, [at])
+        next((tmp_path / name).glob("*.mcap")).rename(bag / f"{name}.mcap")
+    assert [file.stem for file in files_of(bag) if "split" in file.stem] == [*times][:-1]
+    assert read_bag(bag).notes == ()
+    assert [message.log_time for _, message in in_order(bag, {MODEL})] == sorted(times.values())
 
 
 @pytest.mark.parametrize("limit", ["AHEAD_MESSAGES", "AHEAD_BYTES"])

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 
 from fjr_core.config.scenario import Scenario, load_scenario
@@ -32,6 +33,7 @@ from fjr_monitor.report.comparison_page import differences
 from fjr_monitor.report.metrics import Metrics
 from fjr_monitor.report.shown import BUCKETS, Shown, kept_rows
 from fjr_msgs_py.scenarios import library
+from fjr_plant.lock_step import START
 from nodes.harness import nanoseconds
 from system.bags import JOINT_STATE, STORE, rewritten, text_message
 from system.executables import fjr_here, scenario
@@ -367,6 +369,92 @@ def test_messages_that_were_received_late_have_their_place_by_the_time_they_were
     assert not np.isnan(found[1][1]).any()
 
 
+STEPPED = 600_000_000  # ns
+
+
+def set_back(bag: Path, target: Path, step: int, stamps: bool = False, topics: Collection[str] = OURS) -> Path:
+    """Copy a bag as if the clock had stepped back by `step` [ns] after STEPPED; stamps: those, too."""
+    with AnyReader([bag], default_typestore=STORE) as reader, Writer(target, version=9) as writer:
+        kept = [each for each in reader.connections if each.topic in topics]
+        made = {each.id: writer.add_connection(each.topic, each.msgtype, typestore=STORE) for each in kept}
+        late = False
+        for each, time, raw in reader.messages(kept):
+            late, data = late or (each.topic == STATES and header_stamp(raw) >= START + STEPPED), raw
+            if late and stamps and each.topic != EFFORTS:
+                message = STORE.deserialize_cdr(raw, each.msgtype)
+                stamp = replace(message.header.stamp, **seconds(nanoseconds(message) - step))
+                data = STORE.serialize_cdr(replace(message, header=replace(message.header, stamp=stamp)), each.msgtype)
+            writer.write(made[each.id], time - step * late, data)
+    return target
+
+
+def seconds(stamp: int) -> dict[str, int]:
+    """Return a stamp [ns] as the fields of a Time."""
+    return dict(zip(("sec", "nanosec"), divmod(stamp, 10**9), strict=True))
+
+
+@pytest.mark.parametrize("topics", [OURS, (STATES, EFFORTS)], ids=["stamped commands", "efforts without stamps"])
+@pytest.mark.parametrize("step", [500_000_000, 3600 * 10**9], ids=["half a second", "an hour"])
+def test_a_run_is_reported_whole_if_the_clock_stepped_back(
+    in_order: Path, run: Path, tmp_path: Path, model: Scenario, topics: tuple[str, ...], step: int
+) -> None:
+    """As by NTP or `date -s`. The stamps of the plant follow the steady clock; send and receive times do not."""
+    _, wanted = read(rewritten(in_order, tmp_path / "whole", topics=topics), model)
+    bag = set_back(in_order, tmp_path / "bag", step, topics=topics)
+    recording, found = read(bag, model)
+    for name in ("t", "position", "velocity", "jets", "u", "torque"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+    period, (note,) = np.diff(wanted.sent), recording.bag.notes
+    seen = re.fullmatch(r"the clock stepped back by (.*) s: send times go on from there", note)
+    assert seen and float(seen[1]) == pytest.approx(step * 1e-9, abs=period.max() + 0.005)  # noqa: PT018
+    lost = np.abs(np.diff(found.sent) - period)
+    assert (lost > 1e-9).sum() <= 1  # the state behind the step
+    assert lost.max() <= period.max()
+    assert (np.abs(found.latency - wanted.latency) > 1e-9).sum() <= 1
+    if topics == OURS:
+        assert report(bag, run, tmp_path)["missing"] == list(recording.bag.notes)
+
+
+def test_a_message_that_is_under_way_while_the_clock_steps_back_keeps_its_place(
+    run: Path, tmp_path: Path, model: Scenario
+) -> None:
+    """It was sent before the step and received behind it, an hour earlier."""
+    found = [
+        read(received(run, tmp_path / name, late=0.0, step=step), model)[1]
+        for name, step in (("whole", 0), ("bag", 3600 * 10**9))
+    ]
+    for name in ("t", "position", "u"):
+        np.testing.assert_array_equal(*(getattr(each, name) for each in found))
+    states = read_bag(tmp_path / "bag").topics[STATES]
+    assert states.last - states.first < 60 * 10**9  # it is not played an hour early, either
+
+
+def test_a_message_that_is_sent_again_is_no_step_of_the_clock(run: Path, tmp_path: Path, model: Scenario) -> None:
+    """As if the network had lost it: those behind it were received before, and wait for it."""
+    bag, writer = read_bag(run), BagWriter(tmp_path / "bag")
+    states = bag.topic(STATES).messages
+    channel = writer.add_topic(STATES, JOINT_STATE, [], "")
+    for k, each in enumerate(states):
+        writer.write(channel, each.publish_time + 10**9 * (k == 300), each.publish_time, each.sequence, each.data)
+    writer.close()
+    assert read_bag(tmp_path / "bag").notes == ()
+    stamps, sent = (Recording(read_bag(path), model, 1.0).signals for path in (run, tmp_path / "bag"))
+    np.testing.assert_array_equal(stamps.stamp[:600], sent.stamp[:600])
+
+
+@pytest.mark.parametrize("step", [300_000_000, 3600 * 10**9], ids=["0.3 s", "an hour"])
+def test_stamps_that_step_back_with_the_clock_begin_another_part(
+    in_order: Path, tmp_path: Path, model: Scenario, step: int
+) -> None:
+    """Those of a driver: the controller does not answer older stamps, or its reference restarts."""
+    _, wanted = read(in_order, model)
+    recording, found = read(set_back(in_order, tmp_path / "bag", step, stamps=True), model)
+    assert "time jumps back 1 times: shown is the longest of 2 parts" in recording.notes
+    first = STEPPED // 1_000_000  # the plant goes on for some time after the second that was asked for
+    part = slice(0, first) if len(found.t) == first else slice(first, None)
+    np.testing.assert_array_equal(found.position[: 1000 - part.start], wanted.position[part])
+
+
 @pytest.mark.parametrize(("count", "noted"), [(5, False), (100, True)])
 def test_states_that_the_recorder_lost_are_noted(
     count: int, noted: bool, run: Path, tmp_path: Path, model: Scenario
@@ -377,10 +465,11 @@ def test_states_that_the_recorder_lost_are_noted(
     assert Recording(read_bag(bag), model, 1.0).notes == (note,) * noted
 
 
-def received(run: Path, folder: Path, late: float = 0.0, lost: Collection[int] = ()) -> Path:
+def received(run: Path, folder: Path, late: float = 0.0, lost: Collection[int] = (), step: int = 0) -> Path:
     """Copy the bag of a run with messages received when they were sent, every seventh of a topic `late` [s].
 
-    lost: messages of each topic that are left out.
+    lost: messages of each topic that are left out. step [ns]: by which the clock steps back between sending the middle
+    state and receiving it.
     """
     bag, writer = read_bag(run), BagWriter(folder)
     channels = {topic: writer.add_topic(topic, bag.topics[topic].type_name, [], "") for topic in OURS}
@@ -390,8 +479,11 @@ def received(run: Path, folder: Path, late: float = 0.0, lost: Collection[int] =
         for k, message in enumerate(bag.topic(topic).messages)
         if k not in lost
     ]
+    states = bag.topic(STATES).publish_time
+    middle = int(states[len(states) // 2])
     for k, (at, topic, message) in enumerate(sorted(messages, key=lambda each: each[0])):
-        writer.write(channels[topic], at, message.publish_time, message.sequence, message.data)
+        at, sent = at - step * (at >= middle), message.publish_time - step * (message.publish_time > middle)
+        writer.write(channels[topic], at, sent, message.sequence, message.data)
         if k % 500 == 0:
             writer.flush()  # a recorder ends its chunks by time, so a fast run has few
     writer.close()

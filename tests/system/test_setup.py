@@ -14,9 +14,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from envsetup import cli, environment, machine
+from envsetup import cli, commands, environment, machine
+from envsetup.commands import SetupError
 from envsetup.environment import Environment
-from envsetup.machine import SetupError, has_wheels, uses_sourced_ros
+from envsetup.machine import has_wheels, uses_sourced_ros
 from envsetup.workspace import Workspace
 from time_limits import HANG
 
@@ -265,7 +266,7 @@ def test_a_sourced_ros_without_pinocchio_is_noticed(tmp_path: Path) -> None:
 def test_a_command_shows_its_latest_line_and_one_that_fails_its_last_ones(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(machine, "BEAT", 0.02)
+    monkeypatch.setattr(commands, "BEAT", 0.02)
     log, go_on = tmp_path / "log", tmp_path / "go on"
     waiting = f"echo reading; while [ ! -e '{go_on}' ]; do sleep 0.01; done; echo lost; exit 3"
 
@@ -274,14 +275,14 @@ def test_a_command_shows_its_latest_line_and_one_that_fails_its_last_ones(
             go_on.write_text("")
         print(text, passing)
 
-    monkeypatch.setattr(machine, "say", say)
+    monkeypatch.setattr(commands, "say", say)
     with pytest.raises(SetupError, match=r"no tool \(exit code 3; the whole output is in .*log\)") as caught:
-        machine.run("tool", ["sh", "-c", waiting], log, dict(os.environ), "no tool")
+        commands.run("tool", ["sh", "-c", waiting], log, dict(os.environ), "no tool")
     first, *_, last = capsys.readouterr().out.splitlines()
     assert (first, last.startswith("tool ... failed after ")) == ("tool ... True", True)
     assert caught.value.details.splitlines()[-2:] == ["reading", "lost"]
     with pytest.raises(SetupError, match="no tool: "):
-        machine.run("tool", [str(tmp_path / "none")], log, dict(os.environ), "no tool")
+        commands.run("tool", [str(tmp_path / "none")], log, dict(os.environ), "no tool")
 
 
 def test_damaged_stamp_is_ignored(tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from envsetup import machine
+from envsetup.commands import PREFIX, SetupError, say
 from envsetup.environment import Environment
-from envsetup.machine import PREFIX, SetupError, say
 from envsetup.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parents[2]

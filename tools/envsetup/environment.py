@@ -15,7 +15,8 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from envsetup.machine import base_interpreter, clean_environment, run, venv_module
+from envsetup.commands import clean_environment, run
+from envsetup.machine import base_interpreter, venv_module
 
 LEVELS = {
     "run": ("run", "tables", "colcon"),

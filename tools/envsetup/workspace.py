@@ -11,8 +11,8 @@ import re
 import shutil
 from pathlib import Path
 
+from envsetup.commands import run
 from envsetup.environment import Environment, fingerprint, read_stamp, texts, write_stamp
-from envsetup.machine import run
 
 COPIED = {"setup.py", "setup.cfg", "package.xml"}
 """Files whose contents enter the build."""

@@ -148,10 +148,9 @@ def test_efforts_behind_a_lag_have_its_gain_and_phase(lag: float) -> None:
     for frequency in (1.0, 5.0, 10.0):
         s = 2j * np.pi * frequency
         u = np.exp(s * dt * np.arange(samples))
-        real, imaginary = (
-            held(np.ascontiguousarray(part)[:, None], dt, 1).behind(*shooting.library, np.array([lag / dt]))[:, -1, 0]
-            for part in (u.real, u.imag)
-        )
+        lags = np.array([lag / dt]).tobytes()
+        efforts = (held(np.ascontiguousarray(part)[:, None], dt, 1) for part in (u.real, u.imag))
+        real, imaginary = (effort.behind(*shooting.library, lags)[:, -1, 0] for effort in efforts)
         found = complex(real[0], imaginary[0]) / u[-1]
         early = (np.sqrt(1 + 4 * (lag / dt) ** 2) - 1) / 2 * dt  # by which the delay is shorter
         third = abs(s * lag) ** 2 * abs(s) * max(lag, dt) / 3

@@ -10,13 +10,16 @@ from functools import cache
 import numpy as np
 import pytest
 
+from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine
 from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, Estimate, Identification
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
 from fjr_identification.estimation.lack_of_fit import Rows, Seen, deflections, seen, slipping_elements, withheld
+from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.verdicts import Estimates
 from fjr_identification.page import springs_seen as lines
+from identification.estimation.test_identify import robot_like
 from physics.coverage import read
 from physics.draws import Case, Draws, drawn
 from physics.sensors import Encoder, Sensors
@@ -49,6 +52,23 @@ def test_a_term_without_effect_seldom_stands_out_and_one_with_effect_does() -> N
     without, with_effect = np.array(ratios).T
     assert np.mean(without > 2.2) < 0.12
     assert np.min(with_effect) > 5
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_an_encoder_of_a_joint_that_turns_far_is_eccentric_only_if_it_is(seed: int) -> None:
+    """A filter changes the sine of a motion of several turns otherwise than the motion, by 1e-3 of the deflection."""
+    joint, dt = ElasticJoint(skew=0.0, offset=0.0), 4e-3
+    u = multi_sine(np.arange(1000) * dt, np.array([0.35, 0.9, 1.7, 3.1]), 0.7, seed)
+    link, motor = integrated(joint, u, dt)
+    noise = NOISE * np.random.default_rng(seed).standard_normal((2, len(u)))
+    robot = robot_like(joint)
+    said = []
+    for eccentricity in (0.0, 1e-3):
+        columns = u, link + noise[0], motor + eccentricity * np.sin(motor + 0.7) + noise[1], np.full_like(u, np.nan)
+        record = MotionRecord("a record", ("joint1",), dt, *(each[:, None] for each in columns))
+        setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
+        said.append(seen(setup, filtered_fit(setup, setup.coordinates.mean))["joint1"].wrong)
+    assert said == ["", "q_m - q_l depends on the position: an encoder is eccentric"]
 
 
 def test_a_slipping_element_loses_the_work_of_a_parallelogram_in_each_cycle() -> None:

@@ -47,7 +47,7 @@ def check_law(law: Any, robot: Robot | None = None, states: int = 64, seed: int 
 
     law: an object as extensions.python_code.PythonLaw takes it, or a StaticLaw. robot: default law.robot.
     Checked: u (n,) is finite, and V of a law with a storage 0 or more; the result depends on the arguments only, which
-    are not changed; dV/dt <= -2 rate V along the closed loop with the robot, if the law has a rate.
+    are not changed; hold_damping damps; dV/dt <= -2 rate V along the closed loop with the robot, if the law has a rate.
     Raises CheckError with one sentence for each fault, and ParameterError without a robot.
     """
     check = _Check(law, robot, "check_law(law, robot)")
@@ -58,6 +58,8 @@ def check_law(law: Any, robot: Robot | None = None, states: int = 64, seed: int 
     def checked() -> None:
         static = law if isinstance(law, StaticLaw) else PythonLaw(law, check.robot)
         check.pure(samples, lambda *sample: _effort_and_storage(static, sample), slice(-1), f"u ({static.robot.n},)")
+        if np.linalg.eigvalsh(static.hold_damping + static.hold_damping.T)[0] < 0:
+            check.faults.append(f"hold_damping is {static.hold_damping.tolist()}; expected no negative eigenvalue")
         if not check.faults:
             _check_certificate(static, samples, check)
 

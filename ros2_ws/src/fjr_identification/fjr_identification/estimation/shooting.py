@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,6 @@ class HeldEffort:
 
     parts: steps of a sample period. They are halved where a velocity may cross zero, as far as the turn of friction
     needs and a velocity may be wrong: mobility (2n,) [1 / (kg m^2)] of links and motors, accuracy (2n,) [rad/s].
-    lagging: of the last call of `behind`.
     """
 
     u: Array
@@ -43,18 +42,18 @@ class HeldEffort:
     parts: int
     mobility: Array
     accuracy: Array
-    lagging: dict[bytes, Array] = field(default_factory=dict)
 
-    def behind(self, ffi: Any, lib: Any, lag: Array) -> Array:
-        """Return efforts behind lags (n,) in sample periods, and their derivatives by the squares, (2, k, n)."""
-        key = lag.tobytes()
-        if (found := self.lagging.get(key)) is None:
+    @cached_property
+    def behind(self) -> Callable[[Any, Any, bytes], Array]:
+        """Efforts behind lags (n,) [samples], and their derivatives by the squares, (2, k, n); the latest are kept."""
+
+        def behind(ffi: Any, lib: Any, lag: bytes) -> Array:
             found = np.empty((2, *self.u.shape))
-            u, lags, out = (ffi.from_buffer("double[]", np.ascontiguousarray(each)) for each in (self.u, lag, found))
+            u, lags, out = (ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(self.u), lag, found))
             lib.fjr_behind(u, lags, len(self.u), out)
-            self.lagging.clear()
-            self.lagging[key] = found
-        return found
+            return found
+
+        return lru_cache(maxsize=1)(behind)
 
     def steps(self, p: Mapping[str, Array]) -> dict[str, Array] | None:
         """Return what shooting.h limits steps by, (2n,) each; None: friction is too steep. p: parameters by name.
@@ -81,7 +80,7 @@ class HeldEffort:
         if steps is None:
             return None
         delay, lag = p["effort_delay"] / self.dt, p[LAG] / self.dt
-        u, du = self.behind(ffi, lib, lag)
+        u, du = self.behind(ffi, lib, lag.tobytes())
         values: dict[str, Any] = {
             name: ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
             for name, array in {"u": u, "du": du, "delay": delay, "lag": lag, **steps}.items()

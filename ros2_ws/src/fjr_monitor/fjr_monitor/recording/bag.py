@@ -14,12 +14,14 @@ from mcap.records import Message
 
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Table
-from fjr_monitor.recording.files import BagError, Contents, Times, Topic, read_files
+from fjr_monitor.recording import files
+from fjr_monitor.recording.files import BagError, Contents, Messages, Times, Topic
 from fjr_msgs_py.messages.cdr import FIELDS, joint_state_arrays
 
 JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 AHEAD_MESSAGES, AHEAD_BYTES = 40_000, 2**26
 """What is read ahead, and sorted, at most: the first limit that is reached counts."""
+STEP = 10**8  # ns; times that decrease by more are not of messages out of order: they were set back
 
 
 @dataclass(frozen=True)
@@ -72,10 +74,6 @@ class Bag:
             raise BagError(f"{self.path} holds {' and '.join(sorted(others))}; expected one, or its namespace")
         return others[0] if others else None
 
-    def joints(self, name: str, joints: Sequence[str]) -> JointTable:
-        """Return a whole JointState topic as arrays with columns in the order of `joints`; raise BagError."""
-        return self.table(self.topic(name), joints)
-
     def table(self, topic: Topic, joints: Sequence[str]) -> JointTable:
         """Return the messages of a topic of JointStates, or of efforts in the order of `joints`, as arrays."""
         if topic.type_name == FLOATS:
@@ -124,6 +122,34 @@ def read_bag(path: str | Path, namespace: str = "") -> Bag:
     return Bag(path, topics, contents.complete, namespace, tuple(contents.notes))
 
 
+def read_files(path: Path, contents: Contents) -> Messages:
+    """Yield the messages of a bag's files; topics, losses and the number of messages are added to `contents`.
+
+    Within a file receive and send times of a topic decrease together only where the clock stepped back. Times go on
+    there, by the step of the first topic that shows it. Receive times alone decrease if a message is sent again.
+    """
+    latest = 0  # what is added to times behind the last step
+    for file in files.files_of(path):
+        if file.is_file() and file.stat().st_size == 0:
+            contents.complete = False
+            continue
+        clocks: dict[str, tuple[int, int, int]] = {}  # by topic: newest receive and send time, what is added to both
+        for topic, message in files.READERS.get(file.suffix, files.read_compressed)(file, contents):
+            received, sent, added = clocks.get(topic.name, (0, 0, latest))
+            if message.log_time + added < received - STEP and message.publish_time + added < sent - STEP:
+                if message.log_time + latest < received - STEP:
+                    before, latest = latest, max(clocks.values())[0] + 1 - message.log_time
+                    back = (latest - before) * 1e-9
+                    contents.notes.append(f"the clock stepped back by {back:.2f} s: send times go on from there")
+                added = latest
+            if added:
+                message.log_time = min(message.log_time + added, files.LATEST - 1)
+                message.publish_time = min(message.publish_time + added, files.LATEST - 1)
+            message.log_time = max(message.log_time, received - STEP)  # it was under way while the clock stepped
+            clocks[topic.name] = max(received, message.log_time), max(sent, message.publish_time), added
+            yield topic, message
+
+
 def in_order(path: Path, names: Collection[str], sent: bool = False) -> Iterator[tuple[str, Message]]:
     """Yield topic and message of the named topics by receive time, or by the time they were sent; raise BagError.
 
@@ -139,13 +165,10 @@ def in_order(path: Path, names: Collection[str], sent: bool = False) -> Iterator
         if len(ahead) > AHEAD_MESSAGES or size > AHEAD_BYTES:
             ahead.sort(key=itemgetter(0))
             half = max(1, len(ahead) // 2)
-            for _, name, each in ahead[:half]:
-                yield name, each
+            yield from (each[1:] for each in ahead[:half])
             del ahead[:half]
             size = sum(len(each.data) for _, _, each in ahead)
-    ahead.sort(key=itemgetter(0))
-    for _, name, message in ahead:
-        yield name, message
+    yield from (each[1:] for each in sorted(ahead, key=itemgetter(0)))
 
 
 def bag_folder(path: Path) -> Path:
@@ -165,14 +188,10 @@ def _named(values: Array, names: Sequence[str], joints: Sequence[str]) -> Array:
 
 def _efforts(topic: Topic, n: int) -> JointTable:
     """Return the efforts of n joints in arrays of numbers, which carry no stamp; other lengths are left out."""
-    valid = [
-        (m.publish_time, each.data)
-        for m, each in zip(topic.messages, topic.decoded, strict=True)
-        if len(each.data) == n
-    ]
-    times = np.array([sent for sent, _ in valid], dtype=np.int64)
-    nothing = np.full((len(valid), n), np.nan)
-    return JointTable(times, times, nothing, nothing, np.array([data for _, data in valid]).reshape(-1, n))
+    valid = [len(each.data) == n for each in topic.decoded]
+    times, data = topic.publish_time[valid], [each.data for each in topic.decoded if len(each.data) == n]
+    nothing = np.full((len(times), n), np.nan)
+    return JointTable(times, times, nothing, nothing, np.array(data).reshape(-1, n))
 
 
 def header_stamp(data: bytes) -> int:

@@ -137,19 +137,11 @@ def files_of(path: Path) -> list[Path]:
     with suppress(OSError):  # no metadata; parsing all of it would take longer
         if COMPRESSED.search((path / "metadata.yaml").read_text(encoding="utf-8", errors="replace")):
             return [path]
-    files = sorted(file for suffix in READERS for file in path.glob(f"*{suffix}"))
+    found = (file for suffix in READERS for file in path.glob(f"*{suffix}"))
+    files = sorted(found, key=lambda file: (len(file.name), file.name))  # number 10 behind number 9
     if files:
         return files
     raise BagError(f"{path} is not a bag: expected a folder with .mcap or .db3 files in it, or such a file")
-
-
-def read_files(path: Path, contents: Contents) -> Messages:
-    """Yield the messages of a bag's files; topics, losses and the number of messages are added to `contents`."""
-    for file in files_of(path):
-        if file.is_file() and file.stat().st_size == 0:
-            contents.complete = False
-        else:
-            yield from READERS.get(file.suffix, read_compressed)(file, contents)
 
 
 def read_mcap(path: Path, contents: Contents) -> Messages:

@@ -2,7 +2,8 @@
 """States of a run in a bag, the commands that answer them, and the reference that was tracked.
 
 A bag is read once: the numbers of its messages go to a scratch file, stamps and send times to arrays. The rows of the
-run are found in whole arrays: the longest section between two jumps of time, in it the first message of each stamp.
+run are found in whole arrays: the longest section between two steps back of the stamps (reset, looped bag, clock of a
+driver), in it the first message of each stamp.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.bag import Bag, JointTable, in_order
+from fjr_monitor.recording.bag import STEP, Bag, JointTable, in_order
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import BagError, Times
 from fjr_msgs_py import names
@@ -31,7 +32,6 @@ FIELDS |= dict.fromkeys((ANSWERS, EFFORTS), ("effort",))
 SCANNED_MESSAGES = 1000  # for joint names
 TOGETHER = 8192  # states that are decoded at a time
 AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
-JUMP = 0.5  # s; a larger step back in stamps starts a new section (reset, looped bag)
 LOST = 0.01  # of the states; more that the recorder lost are noted
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 END = 2**63 - 1
@@ -186,7 +186,7 @@ class RunSignals:
         stamp, sent = self._times(STATES)
         if not len(stamp):
             raise BagError(f"{bag.path} holds no complete state on {STATES}")
-        starts = np.flatnonzero(np.diff(stamp) < -JUMP * 1e9) + 1
+        starts = np.flatnonzero(np.diff(stamp) < -STEP) + 1
         begin, end = max(pairwise([0, *starts.tolist(), len(stamp)]), key=lambda ends: ends[1] - ends[0])
         stamp, sent = stamp[begin:end], sent[begin:end]
         answers, answered = self._answers_of(stamp, sent)

@@ -71,7 +71,7 @@ def contact(run: Recording, law: TrackingLaw, joints: Sequence[str]) -> Contact:
     largest = np.abs(torque).max(axis=0)
     touching = (np.abs(torque) > QUIET * largest)[:, concerned].any(axis=1)
     t, q, torque = t[touching], q[touching], torque[touching]
-    simulated = run.bag.joints(TOPIC, [*run.joints, *names.WRENCH]) if run.bag.holds(TOPIC) else None
+    simulated = run.bag.table(run.bag.topic(TOPIC), [*run.joints, *names.WRENCH]) if run.bag.holds(TOPIC) else None
     if simulated is None:
         forces, own, own_force = _at_tip(run.scenario.robot, q, torque), None, None
     else:

@@ -27,6 +27,7 @@ from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.run import ControllerStop, Recording
 from fjr_monitor.report.contact import Contact, contact
 from fjr_monitor.report.performance import (
+    FLOWS,
     Counts,
     Energy,
     JointMetrics,
@@ -171,7 +172,7 @@ class Report:
 class Metrics:
     """What is known of a run once its parts were read twice: first what the second reading depends on.
 
-    columns: V, H and the powers of `steps`, beside the columns of the run. beta [1/s], proven: rate of V.
+    columns: V, H, and powers and energies of `steps`, beside the columns of the run. beta [1/s], proven: rate of V.
     """
 
     def __init__(self, run: Recording, size: int = PART) -> None:
@@ -184,9 +185,11 @@ class Metrics:
             rate = first.visited.rate(law)
             self._diagnosis = SecondPass(first, rate.beta)
         self.beta, self.proven = rate.beta, rate.proven and run.scenario.plant_is_the_model
+        joules = np.zeros(len(FLOWS))
         for part in parts_of(run, size):
-            found = {"V": part.V[part.begin :], "H": part.certificate.H[part.begin :]}
-            self.columns.add(**found, **steps(part, run.scenario.robot.B_m, rate.beta))
+            found = steps(part, run.scenario.robot.B_m, rate.beta, joules)
+            joules = found["joules"][-1]
+            self.columns.add(V=part.V[part.begin :], H=part.certificate.H[part.begin :], **found)
             if self._diagnosis is not None:
                 self._diagnosis.add(part, part.certificate)
         self.energy_known = bool(np.isfinite(self.columns.column("H")[0]))
@@ -231,7 +234,7 @@ class Metrics:
             tracking=tracking,
             joints=joints,
             storage=storage(run.columns.column("t"), self.columns.column("V"), self.beta, self.proven),
-            energy=energy(run.columns.column("t"), self.columns) if self.energy_known else None,
+            energy=energy(self.columns) if self.energy_known else None,
             timing=timing(run.signals),
             counts=counts(run, duration),
             diagnostics=run.signals.counters,

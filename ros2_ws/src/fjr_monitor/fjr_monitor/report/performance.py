@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
-from fjr_monitor.recording.columns import ROWS, Columns
+from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import Times
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.recording.signals import END, RunSignals
@@ -218,25 +218,28 @@ class Energy:
     rms_residual_of_supplied: float  # RMS of the residual power, relative to that of the supplied power
 
 
-def steps(part: RunData, B_m: Array, beta: float) -> dict[str, Array]:
+def steps(part: RunData, B_m: Array, beta: float, before: Array) -> dict[str, Array]:
     """Return the mean powers (k,) [W] in the step that ends at each new state of a part, NaN: unknown.
 
-    supplied, dissipated, stored, residual: of the power balance, with the measured motor torque where available.
-    measured, predicted, least: -dV/dt, that of the model for the effort sent, and 2 beta V. B_m (n, n): input matrix.
+    watts (k, 4): FLOWS of the power balance, with the measured motor torque where available; joules (k, 4) [J]: their
+    integrals from the start of the run on, of which before (4,) are those at the end of the last part. measured,
+    predicted, least: -dV/dt, that of the model for the effort sent, and 2 beta V. B_m (n, n): input matrix.
     """
     n, dt, V = part.u.shape[1], np.diff(part.t), part.V
     displacement, dissipated = np.diff(part.position[:, n:], axis=0), part.certificate.dissipated
     with np.errstate(divide="ignore", invalid="ignore"):
+        supplied, stored = (_torque(part, B_m) * displacement).sum(axis=1) / dt, np.diff(part.certificate.H) / dt
+        dissipated = (dissipated[:-1] + dissipated[1:]) / 2
+        watts = np.column_stack([supplied, dissipated, stored, stored - supplied + dissipated])
         found = {
-            "supplied": (_torque(part, B_m) * displacement).sum(axis=1) / dt,
-            "dissipated": (dissipated[:-1] + dissipated[1:]) / 2,
-            "stored": np.diff(part.certificate.H) / dt,
+            "watts": watts,
+            "joules": watts * dt[:, None],
             "measured": -np.diff(V) / dt,
             "predicted": -part.certificate.held_rate(part.u),
             "least": beta * (V[:-1] + V[1:]),
         }
-    found["residual"] = found["stored"] - found["supplied"] + found["dissipated"]
-    return {name: np.append(np.nan, values)[part.begin :] for name, values in found.items()}
+    found = {name: np.insert(values, 0, np.nan, axis=0)[part.begin :] for name, values in found.items()}
+    return found | {"joules": before + np.nancumsum(found["joules"], axis=0)}
 
 
 def _torque(part: RunData, B_m: Array) -> Array:
@@ -248,16 +251,12 @@ def _torque(part: RunData, B_m: Array) -> Array:
     return np.asarray(late * after[:-1] + (1.0 - late) * after[1:])
 
 
-def energy(t: Array, columns: Columns) -> Energy:
-    """Return the energies of a run; columns: powers of `steps` of all states, at times t (k,) [s]."""
-    joules, squares, last = np.zeros(len(FLOWS)), np.zeros(len(FLOWS)), np.nan
-    for times, power in zip(np.split(t, range(ROWS, len(t), ROWS)), columns.parts(), strict=True):
-        flows, known = np.column_stack([power[name] for name in FLOWS]), np.isfinite(power["residual"])
-        joules += np.nansum(flows * np.diff(times, prepend=last)[:, None], axis=0)
-        squares, last = squares + (flows[known] ** 2).sum(axis=0), times[-1]
-    supplied, *_, left = np.sqrt(squares)
-    found = {f"{name}_j": float(value) for name, value in zip(FLOWS, joules, strict=True)}
-    return Energy(**found, rms_residual_of_supplied=float(left / supplied) if supplied else math.nan)
+def energy(columns: Columns) -> Energy:
+    """Return the energies of a run; columns: those of `steps` for all states."""
+    joules = columns.at(np.array([len(columns) - 1]), ("joules",))["joules"][0]
+    supplied, *_, residual = columns.each(("watts",))
+    whole, left = (np.linalg.norm(power[np.isfinite(residual)]) for power in (supplied, residual))
+    return Energy(*np.append(joules, left / whole if whole else math.nan).tolist())
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from fjr_monitor.recording.files import Times
 from fjr_monitor.report import html
 from fjr_monitor.report.html import ArmReplay, Line, Plot, colour, drawable
 from fjr_monitor.report.metrics import Report
+from fjr_monitor.report.performance import FLOWS
 from fjr_monitor.report.picture import SHADES, draw_plot
 from fjr_monitor.report.shown import Shown
 from fjr_msgs_py.console.output import milli, number, percent, plural
@@ -193,7 +194,7 @@ class RunPlots:
             "In the model, the energy that the motors supply is stored or dissipated. The residual is due to friction, "
             "load, delay or wrong parameters."
         )
-        names = ("supplied", "dissipated", "stored", "residual") if np.isfinite(steps["watts"]).any() else ()
+        names = FLOWS if np.isfinite(steps["watts"]).any() else ()
         watts, joules = (
             [
                 Line(name, steps[unit][:, i], "bad" if name == "residual" else colour(i), 1.2 if i == 3 else 1.5)

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from fjr_core.config.robot import description, locked_positions
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.columns import Columns
 from fjr_monitor.report.html import ArmReplay, extremes
 from fjr_monitor.report.metrics import Metrics, Report
-from fjr_monitor.report.performance import FLOWS
 from fjr_monitor.scene import scene
 from fjr_msgs_py.console.output import milli
 
@@ -43,7 +41,7 @@ class Shown:
     def __init__(self, metrics: Metrics) -> None:
         self.metrics, self.run = metrics, metrics.run
         columns, powers = self.run.columns, metrics.columns
-        rows = kept_rows(len(columns), columns.each(STATES), powers.each((*STORED, *RATES, *FLOWS)))
+        rows = kept_rows(len(columns), columns.each(STATES), powers.each((*STORED, *RATES, "watts")))
         self.states = columns.at(rows, STATES) | powers.at(rows, STORED)
         self.states["largest_error"] = np.abs(self.states["error"]).max(axis=1)
         self.states["largest_effort"] = np.fmax.reduce(np.abs(self.states["u"]), axis=1)
@@ -51,30 +49,18 @@ class Shown:
         bent = [np.fmax.reduce(np.abs(part["q_m"] - part["q_l"])) for part in columns.parts()]
         self.deflection = np.asarray(np.fmax.reduce(bent))
         ends = rows[rows > 0]
-        self.steps = powers.at(ends, (*RATES, *FLOWS))
+        self.steps = powers.at(ends, (*RATES, "watts", "joules"))
         self.steps["t"] = columns.at(ends - 1)["t"]
-        self.steps["watts"] = np.column_stack([self.steps[name] for name in FLOWS])
-        self.steps["joules"], self.rate_error = _along(columns, powers, ends)
+        measured, predicted = powers.column("measured"), powers.column("predicted")
+        known = np.isfinite(predicted + measured)
+        size, wrong = (float(np.abs(rate[known]).sum()) for rate in (measured, predicted - measured))
+        self.rate_error = wrong / size if size else math.nan
 
     @property
     def relative_storage(self) -> Array:
         """V / V(0); V itself where the run starts without error."""
         V = self.states["V"]
         return V / (V[0] or 1.0)
-
-
-def _along(columns: Columns, powers: Columns, ends: NDArray[np.intp]) -> tuple[Array, float]:
-    """Return the energies (k, 4) [J] of FLOWS up to the rows `ends`, and the error of the predicted rate of V."""
-    joules, total, begin, last, wrong, size = [], np.zeros(len(FLOWS)), 0, np.nan, 0.0, 0.0
-    for part, power in zip(columns.parts(), powers.parts(), strict=True):
-        dt = np.diff(part["t"], prepend=last)
-        done = total + np.nancumsum(np.column_stack([power[name] * dt for name in FLOWS]), axis=0)
-        joules.append(done[ends[(ends >= begin) & (ends < begin + len(dt))] - begin])
-        begin, last, total = begin + len(dt), part["t"][-1], done[-1]
-        known = np.isfinite(power["predicted"] + power["measured"])
-        wrong += float(np.abs(power["predicted"] - power["measured"])[known].sum())
-        size += float(np.abs(power["measured"])[known].sum())
-    return np.concatenate(joules), wrong / size if size else math.nan
 
 
 def kept_rows(states: int, *columns: Iterator[Array]) -> NDArray[np.intp]:

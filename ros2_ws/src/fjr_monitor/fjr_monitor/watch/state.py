@@ -129,7 +129,7 @@ class Watched:
     def sent(self, times: Sequence[tuple[int, int]]) -> None:
         """Store stamps and send times [ns] of states; duplicates of a stamp are ignored."""
         for stamp, time in times:
-            if self._sent and stamp < self._sent[-1][0]:  # the robot was reset
+            if self._sent and (stamp < self._sent[-1][0] or time < self._sent[-1][1]):  # a reset, or of the clock
                 self._sent.clear()
                 self._answered.clear()
             if not self._sent or stamp > self._sent[-1][0]:
