@@ -12,7 +12,7 @@ import shlex
 import shutil
 from pathlib import Path
 
-from ..node.loading import domain_fault, ensure_log_folder
+from ..node.loading import ensure_log_folder, environment_fault
 
 INSTALLATION = (
     "expected the wheel fjr in this Python environment, or a workspace that is built (make build) and sourced "
@@ -52,7 +52,7 @@ def discover_quickly(locally: bool = False) -> None:
     """
     from ament_index_python.packages import get_package_share_directory  # loaded on use
 
-    if fault := domain_fault():
+    if fault := environment_fault():
         from fjr_core.errors import FjrError  # loads CasADi
 
         raise FjrError(fault)

@@ -125,7 +125,7 @@ def domain() -> str:
     return os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
 
 
-def domain_fault() -> str:
+def environment_fault() -> str:
     """Return what is wrong with ROS_DOMAIN_ID or the security of ROS 2, which end the process; "" if nothing is."""
     secured = [os.environ.get(f"ROS_SECURITY_{name}", "") for name in ("ENABLE", "STRATEGY", "KEYSTORE")]
     if secured == ["true", "Enforce", ""]:

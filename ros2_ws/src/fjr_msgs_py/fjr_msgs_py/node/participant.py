@@ -18,7 +18,7 @@ import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
-from .loading import domain_fault, ensure_log_folder, on_signals
+from .loading import ensure_log_folder, environment_fault, on_signals
 from .scheduling import ahead_of_new_threads, step_back
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def join() -> None:
     An error is not reported here: the caller of `initialise`, or the first node, meets it again.
     """
     global _initialised, _hidden, _discovered_at
-    if domain_fault():
+    if environment_fault():
         return
     with suppress(rclpy_implementation.RCLError):
         initialise(None)
@@ -74,7 +74,7 @@ def initialise(args: list[str] | None) -> None:
     Raises FjrError for an invalid ROS_DOMAIN_ID.
     """
     if not _initialised:
-        if fault := domain_fault():
+        if fault := environment_fault():
             from fjr_core import FjrError  # loads CasADi
 
             raise FjrError(fault)
