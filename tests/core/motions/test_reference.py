@@ -230,6 +230,7 @@ BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     "start nan": (lambda: fjr.Spline(TIMES, POSITIONS, start=START * np.inf), ("start", "inf", "finite")),
     # samples
     "tolerance": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], -1.0), ("tolerance is -1.0; expected 0 or more",)),
+    "late": (lambda: fjr.SampledMotion([5, 6], [[0], [1]], 0.0), ("times begins with 5.0 s; expected 0",)),
     "tolerances": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], [1, 1]), ("tolerance has length 2; expected 1",)),
     # transitions
     "at once": (lambda: fjr.transition(JETS, 0.0, RUNNING, 0.0), ("duration", "0.0 s", "positive")),

@@ -177,6 +177,8 @@ class SampledMotion(PolynomialReference):
     def __post_init__(self) -> None:
         n = _freeze_points(self)
         t, q = np.asarray(self.times), np.asarray(self.positions)
+        if t[0]:  # before the first sample the reference is constant, which is no C^4 beginning of a moving one
+            raise TrajectoryError(f"times begins with {t[0]} s; expected 0")
         tolerance = _tolerance(self.tolerance, n)
         freeze(self, "tolerance", tolerance)
         fit = least_squares_fit(t, q, tolerance) if np.all(tolerance > 0) else None
