@@ -129,7 +129,7 @@ class PolynomialReference:
         return self.jets(np.linspace(self.knot_times[0], self.knot_times[-1], k))[:, 0]
 
     def motion_bounds(self, t0: float, t1: float) -> MotionBounds:
-        """Return bounds of position, velocity and acceleration from t0 to t1 [s], t1 may be infinite."""
+        """Return bounds of position, velocity and acceleration from t0 to t1 [s]; of a period if the motion repeats."""
         t0, t1 = (0.0, self.period) if self.period else (t0, min(t1, max(t0, self.knot_times[-1])))
         coarse = np.concatenate([[t0, t1], self._cut(slice(None), 2, t0, t1)])
         seen = self.jets(coarse)[:, :ROWS]

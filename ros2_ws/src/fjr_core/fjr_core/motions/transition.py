@@ -73,9 +73,8 @@ def transition(jets0: ArrayLike, t0: float, target: Reference, duration: float) 
     jets0 = checks.finite("jets0", jets0, TrajectoryError)
     if jets0.shape != (JETS, target.n):
         raise TrajectoryError(f"jets0 has shape {jets0.shape}; expected ({JETS}, {target.n}), value and derivatives")
-    duration = positive("duration", duration)
     t0 = number("t0", t0)
-    t1 = t0 + duration
+    t1 = t0 + positive("duration", duration)
     while isinstance(target, Transition) and target.transition_end <= t1:
         target = target.target
     segment = PiecewisePolynomial(np.array([t0, t1]), np.stack([jets0, target.jets(t1)]))

@@ -127,8 +127,7 @@ def _segments(
     whole, late = divmod(delay, period)
     found = []
     for age, length in ((int(whole) + 1, late), (int(whole), period - late)):
-        steps = int(np.ceil(length / inner_step - 1e-9))
-        if steps:
+        if steps := int(np.ceil(length / inner_step - 1e-9)):
             found.append((age, _advancing(plant, x, length / steps, steps)))
     return found
 
