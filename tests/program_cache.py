@@ -27,7 +27,8 @@ def built(command: Sequence[str], sources: Sequence[Path], program: Path, *optio
     except FileNotFoundError:
         FOLDER.mkdir(exist_ok=True)
         made = kept.with_suffix(f".{os.getpid()}")
-        words = [*command, *options, *map(str, sources), "-o", str(made), "-lm"]
+        libraries = [] if "-c" in (*command, *options) else ["-lm"]  # clang warns of a library that nothing links
+        words = [*command, *options, *map(str, sources), "-o", str(made), *libraries]
         done = subprocess.run(words, capture_output=True, text=True, timeout=HANG)
         assert (done.returncode, done.stderr) == (0, ""), done.stderr
         os.replace(made, kept)
