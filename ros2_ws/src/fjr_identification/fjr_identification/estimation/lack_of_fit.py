@@ -44,7 +44,8 @@ FLAT, BLUNT = 0.1, 0.5  # of the root mean square torque; a dead zone is passed 
 SLIPS = np.array([0.03, 0.06, 0.12, 0.25, 0.5])  # of the root mean square deflection
 WIDE = 40.0  # Hz; band in which a kinematic error is sought
 PERIODS = np.arange(40.0, 401.0, 2.0)  # of a kinematic error in a turn of the joint, behind gears of 20 to 200
-LEAST = 0.01  # of the root mean square deflection; smaller loops and dead zones are no cause; eccentricity: a fourth
+LEAST = 0.01  # of the root mean square deflection; smaller loops and dead zones are no cause
+LEAST_ECCENTRIC = 0.0025  # the same of the sine of an eccentric encoder; the filter leaves 2e-3 of a large motion
 EXTENT = (0.01, 0.99)  # quantiles of deflections between which a stiffness is seen
 USUAL = 0.95  # quantile of deflections up to which a spring is seen
 LEAST_SHARE = 2e-3  # of the load by which friction grows; less does not count
@@ -161,7 +162,7 @@ def _of_position(equations: FilteredEquations, links: Sequence[Side], j: int) ->
     setup, motors = equations.setup, equations.motors(j)
     terms = [np.column_stack(position_terms(inner(m.q_m[:, j], m.dt), np)) for m in setup.motions]
     on_link, on_motor = (_of_terms(setup, sides, [terms[side.record] for side in sides]) for sides in (links, motors))
-    if not on_link.is_cause() or on_link.size < LEAST / 4 * links[0].measured:
+    if not on_link.is_cause() or on_link.size < LEAST_ECCENTRIC * links[0].measured:
         return ""
     if on_motor.is_cause() and on_motor.size > LEAST * motors[0].measured:
         return "a torque that depends on the position is missing, such as that of a cable or a counterbalance"
