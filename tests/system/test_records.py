@@ -148,6 +148,8 @@ BAD_TABLES: dict[str, tuple[Callable[[Lines], Lines], str]] = {
     "empty": (cell(12, 3, ""), "row 12, column a3_motor_rad: nan; expected a finite number"),
     "text": (cell(12, 3, "abc"), "is not a table of numbers (In CSV column #3"),
     "gap": (lambda lines: [*lines[:300], *lines[900:]], "time jumps by 2.404 s"),
+    "back": (lambda lines: [lines[0], *lines[400:], *lines[1:300]], "time runs back by"),
+    "decimal comma": (cell(12, 3, '"0,5"'), "value '0,5'); expected CSV with points"),
     "short": (lambda lines: lines[:100], "the record has 99 samples; expected at least 200"),
     "no rows": (lambda lines: lines[:1], "holds no samples"),
     "nothing": (lambda lines: [], "has no header"),

@@ -53,8 +53,9 @@ class TimeWindow:
         """Return the rows of a block with the times t [s] that are in the window; raise RecordError if too many are."""
         self._first = float(t[0]) if self._first is None and len(t) else self._first
         since = t - (self._first or 0.0)
-        self.ended = bool(len(t) and since[-1] >= self.start + self.duration)
-        rows = np.asarray(block[(since >= self.start) & (since < self.start + self.duration)])
+        end = int(np.argmax(np.append(since >= self.start + self.duration, True)))
+        self.ended = end < len(t)
+        rows = np.asarray(block[:end][(since[:end] >= self.start) | (since[:end] < 0)])  # back in time: refused later
         self._count += rows.size
         if self._count > LARGEST:
             raise RecordError(
@@ -142,7 +143,7 @@ def record_of_table(
                 break
     except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
         text = " ".join(str(error).split())[: LONGEST // 4]
-        raise RecordError(f"{path} is not a table of numbers ({text}); expected CSV or Parquet") from None
+        raise RecordError(f"{path} is not a table of numbers ({text}); expected CSV with points, or Parquet") from None
     if not blocks:
         raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
     values = np.concatenate(blocks)
