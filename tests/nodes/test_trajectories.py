@@ -403,12 +403,21 @@ def test_resume_is_refused_outside_the_limits_and_each_stop_is_logged(ros: Ros, 
     ros.until_said(capfd, "stopped: link velocity")
 
 
-def test_a_position_jump_names_the_sources_of_the_states_if_there_are_two(ros: Ros, manager: Manager, capfd) -> None:
-    other = Stranger("joint_states", stamped(0.002, 4.0))
-    node = manager.started(0.0, limits__link_velocity=[2.0])
+JUMPS = {
+    "position jump of joint1": [stamped(0.002, 4.0)],
+    "the time of the states jumped forward": [stamped(10.0, 0.0), stamped(10.001, 0.0)],
+}
+
+
+@pytest.mark.parametrize("jump", JUMPS)
+def test_a_jump_names_the_sources_of_the_states_if_there_are_two(ros: Ros, manager: Manager, capfd, jump: str) -> None:
+    other = Stranger("joint_states", JUMPS[jump][0])
+    node = manager.started(0.0, limits__link_velocity=[2.0], state_timeout=5.0)
     named = lambda: [info.node_name for info in node.get_publishers_info_by_topic("joint_states")]  # noqa: E731
     ros.until(lambda: "other" in named(), "the name of the second source")
-    other.publisher.publish(stamped(0.002, 4.0))
-    said = ros.until_said(capfd, "position jump of joint1", "states come from")
+    for state in JUMPS[jump]:
+        other.publisher.publish(state)
+        ros.settle()
+    said = ros.until_said(capfd, jump, "states come from")
     assert "/other" in said.partition("states come from")[2]
     other.close()

@@ -20,6 +20,7 @@ from fjr_msgs_py.node.reports import STAMP, EventWriter, Health
 
 RECEIVED, ANSWERED = "states received", "states answered"
 TRAJECTORY_REFUSED = "trajectory refused"
+CLOCK_JUMPS = "reference restarts", "forward jumps"
 EXPECTED = (
     RECEIVED,
     ANSWERED,
@@ -60,10 +61,10 @@ class Reports(Health):
         self._events.publish(level, kind, sentence)
 
     def publish_events(self) -> None:
-        """Publish the events of the control step since the last call; a position jump names several sources."""
+        """Publish the events of the control step since the last call; a jump of position or time names two sources."""
         while self._step.events:
             event = self._step.events.popleft()
-            jumped = event.kind == STOPS and event.sentence.startswith(f"stopped: {POSITION_JUMP}")
+            jumped = event.kind in CLOCK_JUMPS or event.sentence.startswith(f"stopped: {POSITION_JUMP}")
             found = self._node.get_publishers_info_by_topic(names.JOINT_STATES) if jumped else ()
             if len(found) > 1:
                 event = replace(event, sentence=f"{event.sentence}; states come from {', '.join(map(node_of, found))}")
