@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exported C on other processors (Debian's cross compilers, qemu-user): equal bit by bit, or up to the C library.
+"""Exported C on other processors (Debian's cross compilers, qemu): equal bit by bit, or up to the C library.
 
 Sine, cosine and exponential of glibc round alike where the processor has fused multiply-adds; without, and in another C
 library, they differ in the last bit.
@@ -44,12 +44,60 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return exported(changed("two_link", values), tmp_path_factory.mktemp("export"))
 
 
+START = r"""
+extern void _start(void);
+__attribute__((naked)) static void reset(void) { /* enable the floating-point unit */
+  __asm volatile("ldr r0, =0xE000ED88\n ldr r1, [r0]\n orr r1, r1, #(0xF << 20)\n str r1, [r0]\n dsb\n isb\n"
+                 "ldr r0, =_start\n bx r0\n");
+}
+__attribute__((section(".vectors"), used)) void (*const vectors[])(void) = {(void (*)(void))0x20400000, reset};
+"""
+MEMORY = """
+MEMORY { code (rx) : ORIGIN = 0x0, LENGTH = 4M
+         data (rwx) : ORIGIN = 0x20000000, LENGTH = 4M }
+SECTIONS {
+  .vectors : { KEEP(*(.vectors)) } > code
+  .text : { *(.text*) *(.rodata*) KEEP(*(.init)) KEEP(*(.fini)) KEEP(*(.eh_frame)) } > code
+  .ARM.exidx : { __exidx_start = .; *(.ARM.exidx*) __exidx_end = .; } > code
+  .init_array : { __preinit_array_start = .; __preinit_array_end = .;
+    __init_array_start = .; KEEP(*(.init_array*)) __init_array_end = .;
+    __fini_array_start = .; KEEP(*(.fini_array*)) __fini_array_end = .; } > code
+  .data : { *(.data*) } > data
+  .bss : { __bss_start__ = .; *(.bss*) *(COMMON) __bss_end__ = .; } > data
+  end = .; _end = .; __end__ = .;
+}
+"""
+
+
+def test_efforts_are_equal_up_to_rounding_on_a_microcontroller_without_operating_system(folder: Path) -> None:
+    compiler, emulator = "arm-none-eabi-gcc", "qemu-system-arm"
+    _needs(compiler, "gcc-arm-none-eabi libnewlib-arm-none-eabi")
+    _needs(emulator, emulator)
+    (folder / "board").mkdir()
+    start, memory, program = (folder / "board" / name for name in ("start.c", "memory.ld", "replay.elf"))
+    start.write_text(START), memory.write_text(MEMORY)
+    core = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "--specs=rdimon.specs", f"-T{memory}")
+    options = ("-std=c99", "-O2", "-ffp-contract=off", ROUNDING)
+    words = [compiler, *core, *options, *map(str, [start, *sorted(folder.glob("*.c"))]), "-o", str(program), "-lm"]
+    subprocess.run(words, check=True, capture_output=True, timeout=HANG)
+    arguments = f"enable=on,target=native,arg=replay,arg={folder / 'case.txt'}"
+    words = [emulator, "-M", "mps2-an500", "-nographic", "-monitor", "none", "-serial", "none"]
+    words += ["-semihosting-config", arguments, "-kernel", str(program)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=HANG)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "100 samples" in done.stdout + done.stderr
+
+
+def _needs(program: str, packages: str) -> None:
+    if not shutil.which(program):
+        pytest.skip(f"{program} is not installed (apt-get install {packages})")
+
+
 def replayed_on(target: str, options: tuple[str, ...], emulator: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """Compile for a processor with warnings as errors, and replay under an emulator."""
     compiler = f"{target}-gcc"
-    for program in (compiler, emulator):
-        if not shutil.which(program):
-            pytest.skip(f"{program} is not installed (apt-get install gcc-{target} qemu-user)")
+    _needs(compiler, f"gcc-{target}")
+    _needs(emulator, "qemu-user")
     command = (compiler, "-std=c99", "-O2", *WARNINGS, "-ffp-contract=off", *options)
     program = built(command, sorted(folder.glob("*.c")), folder / f"replay-{target}")
     words = [emulator, "-L", f"/usr/{target}", str(program), str(folder / "case.txt")]
