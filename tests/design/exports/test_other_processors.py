@@ -38,10 +38,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "measurement.gear_ratio": [100.0, -50.0],
         "robust.residual_gain": [20.0, 20.0],
         "robust.delay": 0.001,
-        "limits.effort": [6.0, 2.0],
+        "limits.effort": [0.4, 0.3],
         "on_stop": "gravity_hold",
     }
-    return exported(changed("two_link", values), tmp_path_factory.mktemp("export"))
+    return exported(changed("two_link", values), tmp_path_factory.mktemp("export"), samples=2000)
 
 
 START = r"""
@@ -85,7 +85,7 @@ def test_efforts_are_equal_up_to_rounding_on_a_microcontroller_without_operating
     words += ["-semihosting-config", arguments, "-kernel", str(program)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=HANG)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "100 samples" in done.stdout + done.stderr
+    assert "2000 samples" in done.stdout + done.stderr
 
 
 def _needs(program: str, packages: str) -> None:
