@@ -42,6 +42,7 @@ inline const std::map<std::string, bool (*)(Measured &)> FAULTS = {
    }},
   {"huge", [](Measured & m) { return m.set(0, 1e200), true; }},
   {"stamp_not_finite", [](Measured & m) { return m.set(4 * N, NAN), true; }},
+  {"stamp_out_of_range", [](Measured & m) { return m.set(4 * N, m.k % 2 ? 8e18 : -8e18), true; }},
   {"repeated", [](Measured & m) { return m.set(m.past[m.past.size() - 2 - m.k]), true; }},
   {"older", [](Measured & m) {
      if (m.k % 2) m.set(m.past[m.past.size() - 51]);

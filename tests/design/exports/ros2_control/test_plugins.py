@@ -147,6 +147,12 @@ def test_arm_refuses_invalid_parameters_in_one_sentence(drive: Path, parameter: 
     assert f"parameter '{name}' is " in program_output(drive, "record", parameter, code=2)
 
 
+@pytest.mark.parametrize("delay", ["state_delay=inf", "command_delay=1e300"])
+def test_arm_refuses_a_delay_without_end_in_one_sentence(drive: Path, delay: str) -> None:
+    output = program_output(drive, "record", delay, code=2)
+    assert re.search(r"a delay is \S+ samples; expected at most 10000", output)
+
+
 def test_imperfections_change_the_motion(drive: Path) -> None:
     def record(*parameters: str) -> str:
         return program_output(drive, "record", *parameters)
@@ -185,6 +191,7 @@ FAULTS = {
     "not_finite:0.2": (1.0, {"silences", "recoveries"}),
     "huge:0.2": (1.0, {"efforts not finite"}),
     "stamp_not_finite:0.2": (1.0, {"silences", "recoveries"}),
+    "stamp_out_of_range:0.2": (1.0, {"silences", "recoveries"}),
     "repeated:0.2": (1.0, {"silences", "recoveries"}),
     "repeated:2": (2.0, {"silences", "recoveries"}),
     "no_update:0.05": (0.5, set()),

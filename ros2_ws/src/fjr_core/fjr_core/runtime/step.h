@@ -108,7 +108,8 @@ struct fjr_model {
 
 /* ---- Sample and command ---------------------------------------------------------------------------------------- */
 
-/* A measured state as it arrives. motor: angle before the gear, or joint torque. velocity: not read with an observer. */
+/* A measured state as it arrives. stamp: between -2^61 and 2^61 ns (73 years), as differences of stamps are counted in 64
+ * bits. motor: angle before the gear, or joint torque. velocity: not read with an observer. */
 struct fjr_sample {
   int64_t stamp;
   double link[FJR_N], motor[FJR_N];
