@@ -31,7 +31,7 @@ END_LIMIT = 60.0  # s for the end of a test or of the process, milliseconds on a
 
 
 def isolate() -> None:
-    """Set environment, umask and ROS domain of this process and its children."""
+    """Set environment, umask, ROS domain and SIGHUP of this process and its children."""
     pip = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "pip")
     settings = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config", "pip", "pip.conf")
     for name in list(os.environ):
@@ -43,6 +43,8 @@ def isolate() -> None:
     home = tempfile.mkdtemp(prefix="fjr-test-home-")
     atexit.register(shutil.rmtree, home, ignore_errors=True)
     os.umask(0o022)
+    if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # as under nohup; children inherit this, but no handler
+        signal.signal(signal.SIGHUP, lambda *_: None)
     local = ",".join(filter(None, (os.environ.get("no_proxy"), "127.0.0.1,localhost")))
     os.environ |= {
         "OPENBLAS_NUM_THREADS": os.environ.get("OPENBLAS_NUM_THREADS", "1"),  # more only delay small matrices
