@@ -123,8 +123,9 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Limit the time in which the process ends."""
-    end_soon(_standard_error(session.config))
+    """Limit the time in which the process ends; a worker waits for the others, and xdist ends it after 10 s."""
+    if not hasattr(session.config, "workerinput"):
+        end_soon(_standard_error(session.config))
 
 
 def _standard_error(config: pytest.Config) -> int:

@@ -22,7 +22,7 @@ from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError, MissingPackageError, ParameterError, RecordError
 from fjr_core.model.robot import Robot
-from fjr_design.uncertainty.posterior import DEFLECTION, UNKNOWN, WEAK, Identification
+from fjr_design.uncertainty.posterior import DEFLECTION, NAMES, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
@@ -390,7 +390,7 @@ def test_missing_pyarrow_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 OF_ROBOT = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
 FRICTION = ("link_coulomb_friction", "motor_coulomb_friction")
-ROBUST = "    robust: {motor_residual_gain: [10.0, 10.0, 10.0, 10.0, 10.0, 10.0]}\n"
+ROBUST = "    robust: {motor_residual_gain: [5.0, 5.0, 5.0, 5.0, 5.0, 5.0]}\n"
 
 
 @pytest.mark.full  # 40 s
@@ -409,7 +409,7 @@ def test_a_real_record_becomes_a_loop_that_tracks_on_a_plant_of_its_posterior(
     found = Identification.from_dict(json.loads(Path("identification.json").read_text()))
     row, rate = found.draws(1, seed=3), "    publish_rate: 1000.0"  # of the plant alone
     assert file.read_text().count(rate) == 1
-    drawn = {name: [float(v[0]) for v in found.drawn_values(row, name).values()] for name in (*OF_ROBOT, *FRICTION)}
+    drawn = {name: found.values(row, NAMES[name], np.zeros(6))[0].tolist() for name in (*OF_ROBOT, *FRICTION)}
     plant = [f"    robot: {json.dumps({name: drawn[name] for name in OF_ROBOT})}"]
     plant += [f"    imperfections: {json.dumps({name: drawn[name] for name in FRICTION})}"]
     Path("drawn.yaml").write_text(file.read_text().replace(rate, "\n".join([*plant, rate])))
