@@ -138,8 +138,7 @@ def files_of(path: Path) -> list[Path]:
         if COMPRESSED.search((path / "metadata.yaml").read_text(encoding="utf-8", errors="replace")):
             return [path]
     found = (file for suffix in READERS for file in path.glob(f"*{suffix}"))
-    files = sorted(found, key=lambda file: (len(file.name), file.name))  # number 10 behind number 9
-    if files:
+    if files := sorted(found, key=lambda file: (len(file.name), file.name)):  # number 10 behind number 9
         return files
     raise BagError(f"{path} is not a bag: expected a folder with .mcap or .db3 files in it, or such a file")
 

@@ -2,8 +2,7 @@
 """States of a run in a bag, the commands that answer them, and the reference that was tracked.
 
 A bag is read once: the numbers of its messages go to a scratch file, stamps and send times to arrays. The rows of the
-run are found in whole arrays: the longest section between two steps back of the stamps (reset, looped bag, clock of a
-driver), in it the first message of each stamp.
+run are found in whole arrays: the first message of each stamp, of the longest section in which stamps do not step back.
 """
 
 from __future__ import annotations

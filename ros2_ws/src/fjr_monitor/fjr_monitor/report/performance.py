@@ -222,8 +222,7 @@ def steps(part: RunData, B_m: Array, beta: float, before: Array) -> dict[str, Ar
     """Return the mean powers (k,) [W] in the step that ends at each new state of a part, NaN: unknown.
 
     watts (k, 4): FLOWS of the power balance, with the measured motor torque where available; joules (k, 4) [J]: their
-    integrals from the start of the run on, of which before (4,) are those at the end of the last part. measured,
-    predicted, least: -dV/dt, that of the model for the effort sent, and 2 beta V. B_m (n, n): input matrix.
+    integrals, with those before (4,). measured, predicted, least: -dV/dt, that of the model, 2 beta V. B_m: its input.
     """
     n, dt, V = part.u.shape[1], np.diff(part.t), part.V
     displacement, dissipated = np.diff(part.position[:, n:], axis=0), part.certificate.dissipated
@@ -253,10 +252,12 @@ def _torque(part: RunData, B_m: Array) -> Array:
 
 def energy(columns: Columns) -> Energy:
     """Return the energies of a run; columns: those of `steps` for all states."""
-    joules = columns.at(np.array([len(columns) - 1]), ("joules",))["joules"][0]
-    supplied, *_, residual = columns.each(("watts",))
-    whole, left = (np.linalg.norm(power[np.isfinite(residual)]) for power in (supplied, residual))
-    return Energy(*np.append(joules, left / whole if whole else math.nan).tolist())
+    squares = joules = np.zeros(len(FLOWS))
+    for part in columns.parts():
+        known = part["watts"][np.isfinite(part["watts"][:, -1])]
+        squares, joules = squares + (known**2).sum(axis=0), part["joules"][-1]
+    supplied, *_, residual = np.sqrt(squares)
+    return Energy(*np.append(joules, residual / supplied if supplied else math.nan).tolist())
 
 
 @dataclass(frozen=True)

@@ -51,10 +51,11 @@ class Shown:
         ends = rows[rows > 0]
         self.steps = powers.at(ends, (*RATES, "watts", "joules"))
         self.steps["t"] = columns.at(ends - 1)["t"]
-        measured, predicted = powers.column("measured"), powers.column("predicted")
-        known = np.isfinite(predicted + measured)
-        size, wrong = (float(np.abs(rate[known]).sum()) for rate in (measured, predicted - measured))
-        self.rate_error = wrong / size if size else math.nan
+        rates = np.zeros(2)
+        for part in powers.parts():
+            error_and_rate = np.abs([part["predicted"] - part["measured"], part["measured"]])
+            rates += error_and_rate[:, np.isfinite(error_and_rate[0])].sum(axis=1)
+        self.rate_error = float(rates[0] / rates[1]) if rates[1] else math.nan
 
     @property
     def relative_storage(self) -> Array:
