@@ -84,6 +84,7 @@ def test_efforts_are_equal_up_to_rounding_on_a_microcontroller_without_operating
     words = [emulator, "-M", "mps2-an500", "-nographic", "-monitor", "none", "-serial", "none"]
     words += ["-semihosting-config", arguments, "-kernel", str(program)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=HANG)
+    print(f"\n{compiler}: {done.stdout}{done.stderr}")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "2000 samples" in done.stdout + done.stderr
 
@@ -101,7 +102,9 @@ def replayed_on(target: str, options: tuple[str, ...], emulator: str, folder: Pa
     command = (compiler, "-std=c99", "-O2", *WARNINGS, "-ffp-contract=off", *options)
     program = built(command, sorted(folder.glob("*.c")), folder / f"replay-{target}")
     words = [emulator, "-L", f"/usr/{target}", str(program), str(folder / "case.txt")]
-    return subprocess.run(words, capture_output=True, text=True, timeout=HANG)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=HANG)
+    print(f"\n{compiler} {' '.join(options)}: {done.stdout}")  # figures of docs/tables/processors.md
+    return done
 
 
 @pytest.mark.parametrize("target", EQUAL)

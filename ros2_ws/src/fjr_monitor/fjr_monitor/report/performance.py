@@ -222,7 +222,7 @@ def steps(part: RunData, B_m: Array, beta: float, before: Array) -> dict[str, Ar
     """Return the mean powers (k,) [W] in the step that ends at each new state of a part, NaN: unknown.
 
     watts (k, 4): FLOWS of the power balance, with the measured motor torque where available; joules (k, 4) [J]: their
-    integrals, with those before (4,). measured, predicted, least: -dV/dt, that of the model, 2 beta V. B_m: its input.
+    integrals from before (4,) on. measured, predicted, least: -dV/dt, that of the model, 2 beta V. B_m: input matrix.
     """
     n, dt, V = part.u.shape[1], np.diff(part.t), part.V
     displacement, dissipated = np.diff(part.position[:, n:], axis=0), part.certificate.dissipated
