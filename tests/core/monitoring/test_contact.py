@@ -99,6 +99,33 @@ def test_residual_is_minus_Z_times_the_error_of_the_robot(kind: int) -> None:
     np.testing.assert_allclose(watch.r - exact.r, -watch.Z @ d, rtol=2e-3, atol=1e-6)
 
 
+def test_whole_motion_gives_what_the_samples_give_one_by_one() -> None:
+    watch, plain = Watch(), ExternalTorqueObserver(robot(np.zeros(10)), L)
+    watch.see(*motion(np.ones(10)))
+    kept = ContactObserver(robot(np.zeros(10)), L, ERRORS).along(T, *motion(np.ones(10)))
+    np.testing.assert_allclose(kept[-1], watch.array("kept", 66), rtol=0, atol=1e-13)
+    np.testing.assert_allclose(kept[:, 44:46], plain.along(T, *motion(np.ones(10)))[:, 4:], rtol=0, atol=1e-13)
+
+
+SHARED_EQUATIONS = [
+    {"link_mass": [4.0, 1.0], "link_com": [0.5, 0.5], "link_inertia": [4.0, 1.0]},
+    {"link_mass": [4.0, 2.0], "link_com": [0.25, 0.25], "link_inertia": [3.75, 1.125]},
+]
+"""Bodies of two arms that move alike: their inertia, gravity and springs are equal."""
+
+
+def test_arms_that_move_alike_and_have_other_bodies_have_their_own_compiled_code() -> None:
+    arms = [fjr.planar_two_link(**bodies, link_length=1.0, gravity=8.0) for bodies in SHARED_EQUATIONS]
+    assert arms[0].fingerprint() == arms[1].fingerprint()
+    q, dq = motion(np.zeros(10))
+    found = {
+        compiles: [ContactObserver(arm, L, StatedErrors(2), compiles).along(T, q, dq)[-1] for arm in arms]
+        for compiles in (False, True)
+    }
+    assert np.abs(found[False][0] - found[False][1]).max() > 1e-2
+    np.testing.assert_allclose(found[True], found[False], rtol=0, atol=1e-9)
+
+
 def test_distance_of_drawn_robots_has_the_distribution_of_chi_squared() -> None:
     """20,000 robots and noises: r of each by the Z that the test above has shown; the alarm is that of the limit."""
     rng, watch = np.random.default_rng(5), Watch()

@@ -60,8 +60,8 @@ class ExternalTorqueObserver:
 
     @property
     def start(self) -> Array:
-        """What is kept before the first sample (3n,): NaN."""
-        return np.full(3 * self.robot.n, np.nan)
+        """What is kept before the first sample: NaN."""
+        return np.full(self.function.numel_in(0), np.nan)
 
     @cached_property
     def function(self) -> ca.Function:
@@ -195,7 +195,9 @@ class ContactObserver(ExternalTorqueObserver):
 
     def __init__(self, robot: Robot, bandwidth: float, errors: StatedErrors, compile: bool = False) -> None:
         super().__init__(robot, bandwidth, compile)
-        self.errors, self.stated = errors, str(errors.deviations.tolist())
+        self.errors = errors  # equal equations may be those of other bodies, and Z depends on these
+        bodies = [[np.asarray(value).tolist() for value in vars(body).values()] for body in robot.links.bodies]
+        self.stated = str([errors.deviations.tolist(), bodies])
 
     @cached_property
     def limit(self) -> float:
@@ -233,9 +235,8 @@ class TorqueObserverStruct:
 
     def __init__(self, ffi: Any, observer: ContactObserver) -> None:
         self._held, self._work = CFunction(ffi, observer.function), WorkSpace(ffi, [observer.function])
-        errors, size, robot = len(observer.errors.deviations), observer.function.nnz_in(0), observer.robot
+        errors, start, robot = len(observer.errors.deviations), observer.start, observer.robot
         period, noise = LEARNING_PERIOD / observer.bandwidth, np.asarray(observer.errors.torque_noise)
-        start = np.full(size, np.nan)
         arrays = {"kept": start, "next": start, "d": np.zeros(errors), "P": np.eye(errors), "W": np.zeros(errors)}
         self.arrays = {name: ffi.new("double[]", each.ravel().tolist()) for name, each in arrays.items()}
         numbers = {"bandwidth": observer.bandwidth, "errors": errors, "limit": observer.limit}
