@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -148,9 +149,18 @@ def test_only_the_requested_interval_is_checked_and_points_keep_their_numbers() 
     assert sentence(later, limits, 2.0, 9.0, ("a",)).startswith("point 2 of joint 'a' asks for 2 rad")
 
 
+def test_motion_that_ends_at_a_limit_of_zero_is_within_it() -> None:
+    """0.3 - (0.1 + 0.2) is -5.6e-17; rounding is relative to a limit, and at zero this would permit none."""
+    fjr.check_motion(fjr.MultiSine([[0.1], [0.2]], 1.0, offset=(0.3,)), fjr.MotionLimits((0.0,), np.inf))
+    assert "its limit is 0 rad" in sentence(fjr.Hold((-1e-9,)), fjr.MotionLimits((0.0,), 1.0))
+
+
 def test_limits_of_the_robot_and_of_acceleration_apply() -> None:
     own = fjr.JointLimits(np.array([-1.0, -2.0]), np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([5.0, 6.0]))
     limits = fjr.MotionLimits.of(own, 2, 7.0)
     for name, expected in (("lower", [-1, -2]), ("upper", [1, 2]), ("velocity", [3, 4]), ("acceleration", [7, 7])):
         np.testing.assert_array_equal(getattr(limits, name), expected)
     fjr.check_motion(fjr.Sine((1e6, 1e6), 1.0), fjr.MotionLimits.of(None, 2))
+    slides = replace(fjr.planar_two_link(), limits=own, prismatic=(True, False))
+    expected = "joint 0 would reach -1.5 m at 4.712 s; its limit is -1 m"
+    assert sentence(fjr.Sine((1.5, 0.1), 1.0), fjr.MotionLimits.of(slides.limits, 2, units=slides.units)) == expected

@@ -17,7 +17,7 @@ from .piecewise_polynomial import PolynomialReference
 from .reference import Reference, check_reference
 from .spline import Spline
 
-ROUNDING = 1e-9  # relative tolerance of a limit
+ROUNDING, LEAST = 1e-9, 1e-3  # relative tolerance of a limit, and the limit below which it is constant
 _NUMBERS = ("lower", "upper", "velocity", "acceleration")
 
 
@@ -51,11 +51,13 @@ class MotionLimits:
                 raise TrajectoryError(f"{name} limit is {limit.tolist()}; expected no negative number")
 
     @staticmethod
-    def of(limits: JointLimits | None, n: int, acceleration: ArrayLike = np.inf) -> MotionLimits:
-        """Return the limits of a robot (robot.limits; None: n joints without limits) with acceleration limits."""
+    def of(
+        limits: JointLimits | None, n: int, acceleration: ArrayLike = np.inf, units: tuple[Units, ...] = ()
+    ) -> MotionLimits:
+        """Return robot.limits (None: n joints without limits) with acceleration limits, and robot.units."""
         if limits is None:
-            return MotionLimits(np.full(n, -np.inf), np.full(n, np.inf), np.inf, acceleration)
-        return MotionLimits(limits.lower, limits.upper, limits.velocity, acceleration)
+            return MotionLimits(np.full(n, -np.inf), np.full(n, np.inf), np.inf, acceleration, units)
+        return MotionLimits(limits.lower, limits.upper, limits.velocity, acceleration, units)
 
     @property
     def n(self) -> int:
@@ -82,7 +84,7 @@ def check_motion(
     limit. The given points are checked first, then the bounds of the motion. Polynomials whose convex hull is within
     the limits need no further check.
     """
-    check_reference(reference)
+    check_reference(reference, "motion_bounds")
     if limits.n != reference.n:
         raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
     if isinstance(reference, Spline):
@@ -113,8 +115,8 @@ def _check_points(spline: Spline, limits: MotionLimits, t0: float, joints: Seque
 def beyond(values: Array, limits: MotionLimits) -> NDArray[np.bool_]:
     """Return which of the values (.., 3, n) exceed their limits by more than rounding."""
     minimum, maximum = limits.minimum, limits.maximum
-    low, high = minimum - ROUNDING * np.abs(minimum), maximum + ROUNDING * np.abs(maximum)
-    return np.asarray((values < low) | (values > high))
+    below, above = (ROUNDING * np.maximum(np.abs(each), LEAST) for each in (minimum, maximum))
+    return np.asarray((values < minimum - below) | (values > maximum + above))
 
 
 def _message(values: Array, limits: MotionLimits, row: int, joint: int, when: str = "") -> str:
