@@ -138,6 +138,9 @@ def test_no_rate_is_proven_with_another_plant() -> None:
     ideal, own = parse_scenario("ideal", "{}"), parse_scenario("own", FILE.replace("own_code:Pd", "v_dpbc"))
     heavier = Scenario("heavier", {**ideal.plant_values, "robot.motor_inertia": (0.06,)}, ideal.controller_values)
     assert [each.plant_is_the_model for each in (ideal, heavier, own)] == [True, False, False]
+    for name, value in (("robot.deviations.link_mass", 0.2), ("robot.guesses.joint_stiffness", 30.0)):  # move nothing
+        said = Scenario("said", ideal.plant_values, {**ideal.controller_values, name: (value,)})
+        assert said.plant_is_the_model, name
     assert own.certified_law is own.law
 
 
