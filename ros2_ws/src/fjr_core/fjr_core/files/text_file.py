@@ -60,7 +60,7 @@ def whole_file(path: Path, sealed: bool = False) -> Iterator[Path]:
     An exception in the block removes the partial file and keeps an earlier one; an OSError names the file. sealed:
     write the SHA-256 digest of the content to `<name>.sha256` before the rename.
     """
-    scratch = path.with_name(f"{path.name}.part")
+    scratch = path.with_name(f"{path.name}.{os.getpid()}.part")  # not that of another process
     try:
         yield scratch
         with scratch.open("rb") as written:
