@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from fuzzing import refused
 
 SOURCES = Path(__file__).parents[2] / "ros2_ws" / "src"
 ARM = fjr.planar_two_link()
@@ -120,6 +121,36 @@ OF_REFERENCES: list[Callable[[Any], object]] = [
     lambda reference: fjr.transition(np.zeros((5, 2)), 0.0, reference, 1.0),
     lambda reference: fjr.time_shifted(reference, 1.0),
 ]
+
+
+OF_ROBOTS: list[Callable[[Any], object]] = [
+    lambda robot: fjr.TrackingLaw(robot, fjr.PAPER_GAINS),
+    lambda robot: fjr.PythonLaw(Own(), robot),
+    fjr.Plant,
+    fjr.VirtualSystem,
+    lambda robot: fjr.VelocityObserver(robot, 100.0),
+    lambda robot: fjr.synthesize(robot, 1.0, 1.0),
+]
+
+
+@pytest.mark.parametrize("other", [LAW, fjr.single_link, None], ids=["law", "function", "None"])
+@pytest.mark.parametrize("use", OF_ROBOTS)
+def test_something_else_than_a_robot_is_refused_by_kind(use: Callable[[Any], object], other: object) -> None:
+    with pytest.raises(fjr.RobotError, match=r"^robot is a .*; expected a robot, e\.g\. fjr\.single_link\(\)$"):
+        use(other)
+
+
+def test_a_reference_without_bounds_of_its_motion_is_refused_by_what_it_lacks() -> None:
+    class Mine:
+        n, jets = 2, MOTION.jets
+
+    refused(fjr.TrajectoryError, lambda: OF_REFERENCES[1](Mine()), "reference is a Mine without motion_bounds")
+
+
+def test_a_run_shorter_than_a_step_is_refused() -> None:
+    plant = fjr.Plant(ARM)
+    refused(fjr.StateError, lambda: fjr.simulate(plant, LAW, MOTION, START, 5e-4, 1e-3), "at least one step of 0.001 s")
+    assert len(fjr.simulate(plant, LAW, MOTION, START, 1e-3, 1e-3).t) == 2
 
 
 @pytest.mark.parametrize("other", [never, lambda x: x, fjr.Robot, 1.0], ids=["function", "lambda", "class", "number"])

@@ -193,11 +193,4 @@ def two_scale_gains(robot: Robot, q_0: Array, omega: float, zeta: float, sample_
     K_md = damping * min(1.0, FASTEST_RATE / fastest) - robot.D_m
     if np.linalg.eigvalsh((K_md + K_md.T) / 2)[0] <= 0:
         raise GainsError(f"D_m damps the motors more than the damping ratio {zeta:g}; expected a larger ratio")
-    return Gains(
-        Lambda_l=omega,
-        Pi_l=omega**2 * M_l,
-        K_ld=omega * M_l,
-        Lambda_m=omega,
-        Pi_m=robot.K,
-        K_md=K_md,
-    )
+    return Gains(Lambda_l=omega, Pi_l=omega**2 * M_l, K_ld=omega * M_l, Lambda_m=omega, Pi_m=robot.K, K_md=K_md)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import StateError
-from ..model.robot import Robot
+from ..model.robot import Robot, check_robot
 from ..motions.reference import JETS
 from ..numerics.checks import Array, instance
 from ..numerics.jit import compiled
@@ -100,6 +100,7 @@ class StaticLaw(SampledLaw):
         return f"{type(self).__name__}({joints(self.robot.n)}, {one_line(self.gains)})"
 
     def __init__(self, robot: Robot, gains: Any, compile: bool = False) -> None:
+        check_robot(robot)
         self.robot = robot
         self.gains = gains
         self.arrays: dict[str, Array] = gains.arrays(robot)

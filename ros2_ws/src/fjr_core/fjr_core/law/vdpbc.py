@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import GainsError, RobotError
+from ..errors import GainsError
 from ..files import importing
 from ..model import springs
-from ..model.robot import Robot
+from ..model.robot import Robot, check_robot
 from ..motions.domain import GOAL, MOST_BOXES, Domain
 from ..numerics.checks import Array, instance
 from ..numerics.jit import compiled_from_inputs
@@ -137,7 +137,7 @@ class TrackingLaw(StaticLaw):
     """
 
     def __init__(self, robot: Robot, gains: Gains, compile: bool = False) -> None:
-        instance("robot", robot, Robot, RobotError, "a robot, e.g. fjr.single_link()")
+        check_robot(robot)
         instance("gains", gains, Gains, GainsError, "gains, e.g. fjr.PAPER_GAINS")
         super().__init__(robot, gains.checked(robot.n), compile)
 

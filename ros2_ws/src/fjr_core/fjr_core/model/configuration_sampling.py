@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..errors import StateError
 from ..numerics import checks
 from ..numerics.checks import Array
-from .robot import Robot
+from .robot import Robot, check_robot
 
 RATE_CONFIGURATIONS = 512  # for convergence rates
 ALIGNED_CONFIGURATIONS = 512  # additional ones for sampled loops, with aligned axes
@@ -44,8 +44,9 @@ def loop_configurations(robot: Robot) -> Array:
 def checked_configurations(robot: Robot, configurations: ArrayLike | None, k: int | None = None) -> Array:
     """Return the given configurations as (k, n), or a sampled set of size k (None: the set for loops).
 
-    Raises StateError for a wrong shape.
+    Raises StateError for a wrong shape, RobotError for something else than a robot.
     """
+    check_robot(robot)
     if configurations is None:
         return sample_configurations(robot, k) if k else loop_configurations(robot)
     samples = checks.finite("configurations", configurations, StateError)
@@ -56,8 +57,7 @@ def checked_configurations(robot: Robot, configurations: ArrayLike | None, k: in
 
 def bounds_of(robot: Robot) -> tuple[Array, Array]:
     """Return the lower and upper position limits (n,) [rad]; a side without a limit is +-pi, or pi beyond the other."""
-    limits = getattr(robot, "limits", None)
-    if limits is None:
+    if (limits := robot.limits) is None:
         return np.full(robot.n, -np.pi), np.full(robot.n, np.pi)
     lower = np.where(np.isfinite(limits.lower), limits.lower, np.minimum(-np.pi, limits.upper - np.pi))
     upper = np.where(np.isfinite(limits.upper), limits.upper, np.maximum(np.pi, lower + np.pi))

@@ -15,7 +15,7 @@ from ..numerics.integrators import INTEGRATORS, LONGEST_COPIED, step
 from ..numerics.jit import compiled
 from ..numerics.symbolic import dense_function, evaluate
 from . import springs
-from .robot import Elastic, Robot
+from .robot import Elastic, Robot, check_robot
 
 
 def structure_expressions(robot: Elastic) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -59,6 +59,7 @@ class Plant:
         return f"Plant({self.robot!r}, integrator={self.integrator!r})"
 
     def __init__(self, robot: Robot, integrator: str = "rk4", compile: bool = False) -> None:
+        check_robot(robot)
         if integrator not in INTEGRATORS:
             raise ParameterError(f"integrator is {integrator!r}; expected one of {', '.join(INTEGRATORS)}")
         self.robot = robot

@@ -225,6 +225,11 @@ class Robot(Elastic):
         return dense_function("hamiltonian", {"x": x}, {"H": self.hamiltonian_expression(x)})
 
 
+def check_robot(robot: object) -> None:
+    """Raise RobotError unless `robot` is a Robot."""
+    checks.instance("robot", robot, Robot, RobotError, "a robot, e.g. fjr.single_link()")
+
+
 @dataclass(frozen=True, eq=False)
 class JointLimits:
     """Limits of n joints, each (n,): positions lower, upper [rad], velocity [rad/s] and effort [N m], both > 0.

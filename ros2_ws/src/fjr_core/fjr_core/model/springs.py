@@ -140,7 +140,7 @@ def checked_cubic(value: ArrayLike, K: Array) -> Array | None:
 
 def checked_torsion(value: ArrayLike, K: Array) -> Array | None:
     """Return the points (2, m, n) of the torsion curves of a robot, None if all are zero; raises RobotError."""
-    points = checks.finite("torsion", checks.floats("torsion", value, RobotError), RobotError).copy()
+    points = checks.finite("torsion", value, RobotError)
     if points.ndim != 3 or points.shape[::2] != (2, len(K)) or not 1 <= points.shape[1] <= MOST_POINTS:
         raise RobotError(f"torsion has shape {points.shape}; expected (2, m, {len(K)}) with m of 1 to {MOST_POINTS}")
     if not points.any():

@@ -12,7 +12,7 @@ from ..numerics import symbolic
 from ..numerics.checks import Array
 from ..numerics.symbolic import dense_function, evaluate
 from . import springs
-from .robot import Robot
+from .robot import Robot, check_robot
 
 
 def derivative_expression(robot: Robot, x_v: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
@@ -43,6 +43,7 @@ class VirtualSystem:
         return f"VirtualSystem({self.robot!r})"
 
     def __init__(self, robot: Robot) -> None:
+        check_robot(robot)
         self.robot = robot
 
     def derivative(self, x_v: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:

@@ -55,11 +55,12 @@ class Reference(Protocol):
         """Return bounds of position, velocity and acceleration from t0 to t1 [s]; t1 may be infinite."""
 
 
-def check_reference(reference: object) -> None:
-    """Raise TrajectoryError unless `reference` has the members n and jets of a Reference; a function has not."""
-    if isinstance(reference, type) or not (hasattr(reference, "n") and hasattr(reference, "jets")):
+def check_reference(reference: object, *others: str) -> None:
+    """Raise TrajectoryError unless `reference` is an object with the members n, jets and `others` of a Reference."""
+    lacks = [name for name in ("n", "jets", *others) if isinstance(reference, type) or not hasattr(reference, name)]
+    if lacks:
         raise TrajectoryError(
-            f"reference is {kind_of(reference)}; expected a reference, e.g. fjr.Sine(1.0, 1.0) or "
+            f"reference is {kind_of(reference)} without {lacks[0]}; expected a reference, e.g. fjr.Sine(1.0, 1.0) or "
             "fjr.Spline(times, positions): the law needs four exact derivatives"
         )
 

@@ -37,7 +37,7 @@ from ..errors import ParameterError
 from ..law.linearized import equilibria_at, plant_matrices
 from ..model.configuration_sampling import checked_configurations
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Robot
+from ..model.robot import Robot, check_robot
 from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled
 from ..numerics.one_line import brief
@@ -75,6 +75,7 @@ class VelocityObserver:
         return f"VelocityObserver({self.robot!r}, bandwidth={brief(self.bandwidth)} rad/s)"
 
     def __init__(self, robot: Robot, bandwidth: float, compile: bool = False) -> None:
+        check_robot(robot)
         self.robot, self._compile = robot, compile
         self.bandwidth = positive("bandwidth", bandwidth, ParameterError, "rad/s")
         self._n = n = robot.n

@@ -55,9 +55,9 @@ def simulate(
     TrajectoryError for a reference that is none, such as a function of time; UserCodeError for a failure of a law or
     plant in Python.
     """
+    checks.instance("plant", plant, Plant, StateError, "a plant, e.g. fjr.Plant(robot)")
+    check_law(law)
     try:
-        checks.instance("plant", plant, Plant, StateError, "a plant, e.g. fjr.Plant(robot)")
-        check_law(law)
         x0 = checks.vector("x0", x0, 4 * plant.robot.n, StateError)
         check_joints(plant.robot, law.robot, reference)
         usual = CONTINUOUS_STEP if sample_period is None else INNER_STEP
@@ -67,6 +67,8 @@ def simulate(
             raise StateError(f"delay is {delay} s; expected a sample_period with it, or 0 in continuous time")
         period = inner_step if sample_period is None else checks.positive("sample_period", sample_period, StateError)
         duration = checks.positive("duration", duration, StateError)
+        if duration < period:
+            raise StateError(f"duration is {duration:g} s; expected at least one step of {period:g} s")
         t = np.asarray(period * np.arange(int(duration / period + 1e-9) + 1), dtype=float)
         if sample_period is not None:
             return _sampled(plant, law, reference, x0, t, period, inner_step, delay)
@@ -75,10 +77,8 @@ def simulate(
             raise StateError(f"law is a {kind} without a sample_period; expected a StaticLaw or a sample_period")
         return _continuous(plant, law, reference, x0, t, period)
     finally:
-        if isinstance(plant, Plant):
-            plant.raise_failure()
-        if isinstance(law, SampledLaw):
-            law.raise_failure()
+        plant.raise_failure()
+        law.raise_failure()
 
 
 def check_joints(plant: Robot, law: Robot, reference: Reference) -> None:

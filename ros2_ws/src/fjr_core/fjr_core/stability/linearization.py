@@ -18,15 +18,7 @@ from ..model.port_hamiltonian import Plant
 from ..numerics.checks import Array, positive
 from ..numerics.one_line import at_least
 from ..robust.law import Robust, sampled_law
-from .linear_controller import (
-    At,
-    Controller,
-    Sensing,
-    controller,
-    momentum_matrix,
-    plant_in_velocities,
-    static,
-)
+from .linear_controller import At, Controller, Sensing, controller, momentum_matrix, plant_in_velocities, static
 
 OTHER_LAWS = 64  # configurations at which a law without a closed form is checked
 INTEGRAL_GAINS = ("integral_gain", "motor_integral_gain")
