@@ -212,7 +212,10 @@ REFUSED: list[tuple[type[fjr.FjrError], dict[str, Any], str]] = [
     (ParameterError, {"link_torque": np.nan}, "link_torque has entries that are not finite"),
     (ParameterError, {"gravity": "much"}, "gravity is 'much'; expected numbers"),
     (ParameterError, {"seed": [0.5, 1, 2]}, "seed is of float64"),
-    (StateError, {"duration": 0.0}, "duration is 0.0; expected a positive"),
+    (StateError, {"duration": 0.0}, "duration is 0.0 s; expected a positive"),
+    (StateError, {"band": "wide"}, "band is 'wide'; expected numbers"),
+    (StateError, {"lost": None}, "lost is None rad; expected a positive"),
+    (StateError, {"settle_after": -0.1}, "settle_after is -0.1 s; expected 0 or more"),
     (StateError, {"settle_after": 0.3}, "settle_after is 0.3 s; expected less than --duration, 0.3 s"),
     (
         StateError,

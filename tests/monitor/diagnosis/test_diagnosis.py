@@ -20,6 +20,7 @@ from fjr_monitor.diagnosis.diagnosis import diagnose, innovations, with_findings
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_msgs_py.scenarios import library
+from fuzzing import refused
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 2.5
@@ -47,6 +48,21 @@ def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record
         sample_period=PERIOD,
         effort_limit=np.array([np.inf]),
     )
+
+
+def test_a_record_of_lists_is_that_of_arrays_and_one_of_words_is_refused() -> None:
+    seen = record()
+    lists = replace(seen, **{name: values.tolist() for name, values in seen.columns.items()}, effort_limit=[np.inf])
+    assert diagnose(lists, LAW) == diagnose(seen, LAW)
+    assert replace(lists, u=seen.u).u is seen.u
+    refused(fjr.StateError, lambda: replace(seen, u=[["a"]] * len(seen)), "u is [['a'], ", "expected numbers")
+
+
+def test_what_cannot_be_diagnosed_is_refused_in_one_sentence() -> None:
+    of_two = fjr.TrackingLaw(fjr.planar_two_link(), fjr.PAPER_GAINS)
+    refused(fjr.StateError, lambda: diagnose(record(), of_two), "record and law have 1 and 2 joints; expected equal")
+    refused(fjr.StateError, lambda: diagnose(record(), LAW.robot), "law is a Robot; expected v-dPBC")
+    refused(fjr.StateError, lambda: diagnose(record().u, LAW), "record is a ndarray; expected a fjr.Record")
 
 
 def test_exact_model_predicts_the_next_state() -> None:

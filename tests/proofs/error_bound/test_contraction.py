@@ -153,6 +153,8 @@ def test_gains_that_are_unstable_as_sampled_are_not_proven() -> None:
         ((joint(), fjr.Spline([0.0, 1.0], [[0.0], [1.0]]), H), "expected sines"),
         ((two_link(), fjr.Sine(0.1, [1.0, np.sqrt(2)]), H), "neither a common period nor an end within 60 s"),
         ((joint(), FAST_SINE, H, (0.5, 1.5)), "delay is 0.5 to 1.5 samples; expected within 0 and 1"),
+        ((joint(), FAST_SINE, H, 1.5), "delay is 1.5 to 1.5 samples; expected within 0 and 1"),
+        ((joint(), FAST_SINE, H, (0.0, 0.5, 1.0)), r"delays has shape \(3,\); expected a scalar or \(2,\)"),
     ],
 )
 def test_what_the_proof_does_not_cover_is_refused(arguments: tuple[Any, ...], words: str) -> None:

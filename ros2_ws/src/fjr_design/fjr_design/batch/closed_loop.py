@@ -146,10 +146,9 @@ class ClosedLoop:
     def __post_init__(self) -> None:
         object.__setattr__(self, "x0", checks.vector("x0", self.x0, 4 * self.robot.n, StateError))
         check_joints(self.robot, self.law.robot, self.reference)
-        for name in ("duration", "sample_period", "lost", "band"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise StateError(f"{name} is {getattr(self, name)}; expected a positive finite number")
-        if not 0 <= self.settle_after < self.duration:
+        for name, unit in (("duration", "s"), ("sample_period", "s"), ("lost", "rad"), ("band", "rad")):
+            checks.positive(name, getattr(self, name), StateError, unit)
+        if not checks.positive("settle_after", self.settle_after, StateError, zero=True) < self.duration:
             raise StateError(f"settle_after is {self.settle_after} s; expected less than --duration, {self.duration} s")
         if self._first > self._samples:
             raise StateError(

@@ -85,8 +85,7 @@ def storage_budget(found: Innovations, acted: Acting, robot: Robot, beta: float,
 def foreign(found: Innovations) -> NDArray[np.bool_]:
     """Return in which intervals (k,) the effort sent is neither that of the law nor at a limit."""
     same = SAME_EFFORT * (1.0 + np.abs(found.law).max(axis=1, initial=0.0)[:, None])
-    differs = np.abs(found.sent - found.law) > same
-    return np.asarray((differs & ~found.limited).any(axis=1) & found.answered)
+    return np.asarray(((np.abs(found.sent - found.law) > same) & ~found.limited).any(axis=1) & found.answered)
 
 
 def state_change(found: Innovations, effort: Array, robot: Robot) -> Array:

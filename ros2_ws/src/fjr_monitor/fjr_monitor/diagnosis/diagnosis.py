@@ -11,12 +11,13 @@ from functools import reduce
 
 import numpy as np
 
+from fjr_core.errors import StateError
 from fjr_core.files import importing
 from fjr_core.law.rate import Rate
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries, Prediction
 from fjr_core.motions.domain import Domain
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import Array, instance
 from fjr_core.runtime.events import Finding
 from fjr_core.stability.linearization import linearize
 
@@ -35,10 +36,7 @@ FARTHEST = 1e4  # rad or m; a run that goes beyond has lost its robot, and bound
 
 
 def innovations(
-    record: Record,
-    law: TrackingLaw,
-    series: CertificateSeries | None = None,
-    valued: bool = True,
+    record: Record, law: TrackingLaw, series: CertificateSeries | None = None, valued: bool = True
 ) -> Innovations:
     """Return the innovations of the intervals that `Record.consecutive` selects; of a part, those that end in it.
 
@@ -90,9 +88,13 @@ def diagnose(
     beta [1/s]: guaranteed rate of V; None: the rate of the law at configurations of the reference. axes: names, units
     and tolerances of the joints; None: JointTolerances.plain. velocities_measured: false if an observer estimates them;
     faults are then not isolated, nor in a loop that is unstable at its sample period. size: states processed at once.
+    Raises StateError for a law that has no certificate, and unless record and law have equally many joints.
     """
-    first = FirstPass(record, law, axes or JointTolerances.plain(law.robot.n), size)
-    second = SecondPass(first, beta)
+    instance("record", record, Record, StateError, "a fjr.Record")
+    instance("law", law, TrackingLaw, StateError, "v-dPBC, a fjr.TrackingLaw, whose V decays")
+    if (n := record.u.shape[1]) != law.robot.n:
+        raise StateError(f"record and law have {n} and {law.robot.n} joints; expected equal")
+    second = SecondPass(FirstPass(record, law, axes or JointTolerances.plain(n), size), beta)
     for part in parts_of(record, size):
         second.add(part)
     return second.result(velocities_measured)
@@ -218,8 +220,7 @@ class SecondPass:
         blocks = slice(begin, begin + in_blocks)
         ahead = slice(begin, begin + in_blocks + 1)  # one more, whose law effort shows what a gap missed
         budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period)
-        made = self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period)
-        self._statistics.add(budget, made)
+        self._statistics.add(budget, self._propagation.errors(kept.rows(ahead), acted.rows(ahead), period))
         self._growth.add(kept.rows(slice(begin, begin + count)), period)
         self._growth.figures["effort age"] = acted.age * self._period
         end = begin + count

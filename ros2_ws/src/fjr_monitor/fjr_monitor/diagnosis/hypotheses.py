@@ -213,6 +213,5 @@ def _function(links: ArmDynamics, link: int) -> ca.Function:
     kinetic = m * ca.dot(dp_0, dp_0) / 2 + ca.dot(dp_0, dR @ mr) + ca.trace(dR @ S @ dR.T) / 2
     L = kinetic + ca.dot(ca.DM(links.end_effector.gravity), m * p_0 + R @ mr)
     momentum = ca.gradient(L, dq_l)
-    rate = ca.jtimes(momentum, ca.vertcat(q_l, dq_l), ca.vertcat(dq_l, ddq_l))
-    torque = rate - ca.gradient(L, q_l)
+    torque = ca.jtimes(momentum, ca.vertcat(q_l, dq_l), ca.vertcat(dq_l, ddq_l)) - ca.gradient(L, q_l)
     return ca.Function("body_torques", [state], [ca.densify(ca.jacobian(torque, theta))], {"cse": True})

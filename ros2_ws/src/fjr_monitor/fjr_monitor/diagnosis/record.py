@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fjr_core.errors import StateError
 from fjr_core.motions.reference import JETS
-from fjr_core.numerics.checks import Array, positive
+from fjr_core.numerics.checks import Array, floats, positive
 from fjr_core.numerics.one_line import joints, span
 
 from .thresholds import AT_LIMIT, LONGEST_GAP
@@ -83,8 +83,7 @@ def blocks_of(values: NDArray[Any], size: int) -> NDArray[Any]:
 
 def held_efforts(u: Array, before: Array | None) -> Array:
     """Return efforts (k, n) with the previous one in place of a missing one; before (n,): the one before all."""
-    came = np.isfinite(u).all(axis=1)
-    last = np.maximum.accumulate(np.where(came, np.arange(len(u)), -1))
+    last = np.maximum.accumulate(np.where(np.isfinite(u).all(axis=1), np.arange(len(u)), -1))
     return np.where((last >= 0)[:, None], u[np.maximum(last, 0)], np.nan if before is None else before)
 
 
@@ -124,6 +123,9 @@ class Record(Table):
         return f"Record({n}, {len(self.t)} instants, {span(self.t)}, sample_period={self.sample_period:.4g} s)"
 
     def __post_init__(self) -> None:
+        for name, values in {**self.columns, "effort_limit": self.effort_limit}.items():
+            if not isinstance(values, np.ndarray):  # one is not copied
+                object.__setattr__(self, name, floats(name, values, StateError))
         k, n = np.shape(self.u) if np.ndim(self.u) == 2 else (-1, -1)
         shapes = {"t": (k,), "position": (k, 2 * n), "velocity": (k, 2 * n), "jets": (k, JETS, n), "u": (k, n)}
         optional = {"u_applied": (k, n), "sent": (k,), "answered": (k,)}

@@ -153,5 +153,4 @@ def explained_share(left: float, total: float) -> float:
 
 def deviation(r: Array) -> Array:
     """Estimate the standard deviation (m,) of white noise on r (b, m) from the median of its second differences."""
-    second = np.diff(r, 2, axis=0) ** 2 / 6
-    return np.sqrt(np.median(second, axis=0) / 0.455)
+    return np.sqrt(np.median(np.diff(r, 2, axis=0) ** 2 / 6, axis=0) / 0.455)

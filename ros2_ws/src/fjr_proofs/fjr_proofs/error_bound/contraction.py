@@ -20,7 +20,7 @@ from fjr_core.errors import StateError, TrajectoryError
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.motions.reference import Reference
 from fjr_core.motions.sine import Sines
-from fjr_core.numerics.checks import Array, kind_of, positive
+from fjr_core.numerics.checks import Array, kind_of, positive, vector
 from fjr_core.numerics.one_line import one_line
 
 from .deviation_model import DeviationModel
@@ -67,21 +67,23 @@ def sampled_contraction(
     law: TrackingLaw,
     reference: Reference,
     sample_period: float,
-    delays: tuple[float, float] = (0.0, 0.0),
+    delays: tuple[float, float] | float = (0.0, 0.0),
     on_progress: Progress = lambda share: None,
 ) -> SampledContraction | None:
     """Prove contraction of the law on its own robot with a sample period [s] and delays from .. to [samples].
 
-    Returns None if no proof is found. Raises StateError for delays outside 0 .. 1 sample, TrajectoryError for a
-    reference that is no sum of sines, ParameterError for sines without a common period within 60 s.
+    One number is a constant delay. Returns None if no proof is found. Raises StateError for delays outside 0 .. 1
+    sample, TrajectoryError for a reference that is no sum of sines, ParameterError for sines without a common period
+    within 60 s.
     """
     positive("sample_period", sample_period, StateError)
-    if not 0 <= delays[0] <= delays[1] <= 1:
-        raise StateError(f"delay is {delays[0]:g} to {delays[1]:g} samples; expected within 0 and 1")
+    least, most = vector("delays", delays, 2, StateError).tolist()
+    if not 0 <= least <= most <= 1:
+        raise StateError(f"delay is {least:g} to {most:g} samples; expected within 0 and 1")
     if not isinstance(reference, Sines):
         raise TrajectoryError(f"reference is {kind_of(reference)}; expected sines, whose derivatives are enclosed")
-    n, middle, none = law.robot.n, sample_period * (delays[0] + delays[1]) / 2, np.zeros(0)
-    late = sample_period * (delays[1] - delays[0]) / 2
+    n, middle, none = law.robot.n, sample_period * (least + most) / 2, np.zeros(0)
+    late = sample_period * (most - least) / 2
     search = Search(DeviationModel(law), reference, sample_period, middle, np.zeros(2 * n), verified=True, late=late)
     linear = search.linear(none)
     problem = search.problem(linear, none, none)
@@ -92,7 +94,7 @@ def sampled_contraction(
         if _pairs(search, problem, share * fastest, few=True) is not None:
             found = _pairs(search, problem, RATE_SHARE * share * fastest)
             if found is not None:
-                return found.widest(delays, on_progress)
+                return found.widest((least, most), on_progress)
     return None
 
 
