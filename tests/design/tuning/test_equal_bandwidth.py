@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +15,13 @@ import fjr_core as fjr
 from core.oracles.cases import Arm, planar
 from core.oracles.chains import arm7
 from core.oracles.plain_loop import OTHERS
-from fjr_core.config.scenario import Scenario, parse_scenario
+from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
 from fjr_core.extensions.law_registry import LAWS
 from fjr_core.law.gains import FASTEST_RATE, two_scale_gains
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.linearized import rest_position, slope_at_rest
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.closed_form_arms import Rod, urdf_of_rods
 from fjr_design.baselines import feedback_linearisation
 from fjr_design.batch import ClosedLoop
 from fjr_design.studies.trial import Trial, motion_demand
@@ -245,6 +247,34 @@ def test_frequency_damping_and_sample_rate_set_the_gains_if_not_tuned() -> None:
         assert A["A_0"] == pytest.approx((omega * fast) ** 2)
         assert A["A_3"] == pytest.approx(2 * zeta * omega + 2 * feedback_linearisation.FAST_DAMPING * fast)
     assert fast < half_the_elastic_mode(made.robot)
+
+
+FILES = """
+/**:
+  ros__parameters:
+    joints: [a]
+    robot: {model: urdf, urdf: arm.urdf, joint_stiffness: [100.0], motor_inertia: [0.02], link_damping: [0.1],
+            motor_damping: [0.02]}
+    gains: {Lambda_l: [10.0], Pi_l: [20.0], K_ld: [2.0], Lambda_m: [10.0], Pi_m: [100.0], K_md: [0.5]}
+    reference: {type: file, file: {path: motion.csv}}
+    law: {type: pd_gravity}
+    compile: false
+"""
+
+
+@pytest.mark.parametrize("changes", ["arm.urdf", "motion.csv"])
+def test_a_file_that_changes_under_its_name_is_tuned_anew(changes: str, tmp_path: Path) -> None:
+    """A notebook loads the same scenario again after the URDF, or the motion, was edited."""
+    for mass, start in ((1.0, 0.0), (3.0, 1.0)):
+        urdf = urdf_of_rods("arm", ["a"], [Rod(mass if changes == "arm.urdf" else 1.0, 0.5, 0.25, 0.02)])
+        (tmp_path / "arm.urdf").write_text(urdf)
+        place = start if changes == "motion.csv" else 0.0
+        rows = (f"{t:.2f},{place + 0.2 * np.sin(t) ** 4}" for t in np.arange(0.0, 4.0, 0.05))
+        (tmp_path / "motion.csv").write_text("time,a\n" + "\n".join(rows) + "\n")
+        (tmp_path / "one.yaml").write_text(FILES)
+        made = load_scenario(tmp_path / "one.yaml")
+        wanted = tune("pd_gravity", baseline_target(made)).law
+        np.testing.assert_allclose(made.law.gain_values, wanted.gain_values, rtol=1e-9)
 
 
 def test_start_error_changes_the_tuning() -> None:

@@ -78,8 +78,7 @@ def check_position_gain(name: str, K_p: Array, robot: Robot) -> None:
 def storage_hessians(robot: Robot, K_p: Array) -> Array:
     """Return the Hessians (k, 2n, 2n) [N m/rad] of V in (q, theta) at sampled configurations."""
     K, N = robot.K, gravity_hessians(robot)
-    blocks = np.block([[K, -K], [-K, K + K_p]])
-    hessians = np.repeat(blocks[None], len(N), axis=0)
+    hessians = np.repeat(np.block([[K, -K], [-K, K + K_p]])[None], len(N), axis=0)
     hessians[:, : robot.n, : robot.n] += N
     return hessians
 

@@ -20,13 +20,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
-from fjr_core.config import law
+from fjr_core.config import law, robot_file
 from fjr_core.config.law import START_ERROR, sample_period
 from fjr_core.config.law import gains as build_gains
-from fjr_core.config.parameter import Value, Values, vector
+from fjr_core.config.parameter import Values, names, vector
+from fjr_core.config.reference import motion_inlined
 from fjr_core.config.reference import reference as build_reference
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.scenario import Scenario
@@ -89,8 +91,7 @@ class BaselineTarget:
     @cached_property
     def reference_effort(self) -> float:
         """Largest share of the effort limits that the reference motion requires within HORIZON."""
-        times = np.linspace(0.0, min(self.reference.end, HORIZON), 200)
-        motions = self.reference.jets(times).transpose(1, 2, 0)
+        motions = self.reference.jets(np.linspace(0.0, min(self.reference.end, HORIZON), 200)).transpose(1, 2, 0)
         u = np.linalg.solve(self.robot.B_m, inverse_dynamics(self.robot)(*motions)[-1].full())
         return float(np.max(np.abs(u) / self._scale[:, None]))
 
@@ -273,11 +274,12 @@ def tuning(values: Values) -> Tuning:
     or GainsError.
     """
     relevant = ("robot.", "gains.", "reference.", law.TYPE.name, law.INITIAL_ERROR.name, law.SAMPLE_RATE.name, "joints")
-    return _tuned(tuple(sorted((name, value) for name, value in values.items() if name.startswith(relevant))))
+    alone = motion_inlined(robot_file.inlined(values), names(values, "joints"))  # files may change
+    return _tuned(tuple(sorted((name, value) for name, value in alone.items() if name.startswith(relevant))))
 
 
 @lru_cache(maxsize=8)
-def _tuned(items: tuple[tuple[str, Value], ...]) -> Tuning:
+def _tuned(items: tuple[tuple[str, Any], ...]) -> Tuning:
     values = dict(items)
     arm = build_robot(values)
     motion = build_reference(values, arm.n)

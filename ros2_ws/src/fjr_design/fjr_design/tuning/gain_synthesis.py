@@ -194,11 +194,7 @@ class GainSearch:
 
 
 def gain_search(
-    robot: Robot,
-    sample_period: float,
-    delay: float,
-    configurations: ArrayLike | None,
-    domain: Domain | None = None,
+    robot: Robot, sample_period: float, delay: float, configurations: ArrayLike | None, domain: Domain | None = None
 ) -> GainSearch:
     """Return the search of gains for several rates; the arguments are those of `synthesize`."""
     equilibria = equilibria_at(robot, checked_configurations(robot, configurations))
