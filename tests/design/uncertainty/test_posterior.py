@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import fjr_core as fjr
 from fjr_core import ParameterError
-from fjr_design.batch import draws
+from fjr_design.batch import Draws, draws, parametric_robot
+from fjr_design.batch.parametric_robot import WHOLE, ParametricPlant
 from fjr_design.studies import sweep
 from fjr_design.studies.suite import uncertainties
 from fjr_design.studies.sweep import Sweep, from_text
@@ -23,7 +26,10 @@ from fjr_design.uncertainty.posterior import (
     UNKNOWN,
     Estimate,
     Identification,
+    PosteriorDraws,
+    drawn_plants,
 )
+from fuzzing import refused
 
 SCENARIO = """
 /**:
@@ -80,6 +86,56 @@ def test_what_is_not_identifiable_is_not_drawn(whole: Any) -> None:
     assert np.all(whole.values["link_damping"] == 1.0)
     columns = [each.column for each in study().drawn]
     assert columns == ["stiffness.joint1", "motor_inertia.joint1", "coulomb_l.joint1", "delay"]
+
+
+TWO = fjr.planar_two_link(stiffness=[31.0, 20.0])
+K, CUBIC, TURNS = np.array([40.0, 18.0]), np.array([500.0, 300.0]), np.array([0.05, 0.01])
+"""Stiffness, cubic stiffness and smoothing velocity of an identification of two joints."""
+
+
+def hardening() -> Identification:
+    rows = {"joint_stiffness": K, "cubic_stiffness": CUBIC, "friction_smoothing_velocity": TURNS}
+    named = [(name, joint, value) for name, row in rows.items() for joint, value in zip("ab", row, strict=True)]
+    estimates = tuple(Estimate(*each[:2], "", each[2], 0.0, 9e9, each[2], IDENTIFIED) for each in named)
+    mean = np.concatenate([np.log(K), CUBIC, np.log(TURNS)])
+    covariance = np.diag([0.1, 0.1, 50.0, 30.0, 0.1, 0.1]) ** 2
+    return Identification(
+        ("a", "b"), estimates, (0, 1, 2, 3, 4, 5), (LOG,) * 2 + (NONNEGATIVE,) * 2 + (LOG,) * 2, mean, covariance
+    )
+
+
+@pytest.mark.parametrize("own", [None, CUBIC])
+def test_springs_of_a_draw_have_the_stiffness_and_the_curve_of_the_posterior(own: Any) -> None:
+    """The file of an identified robot has the curve, too: what is drawn beside it is the difference."""
+    robot, identified = replace(TWO, cubic=own), hardening()
+    drawn = PosteriorDraws(identified, robot, ("a", "b"))
+    table, given = identified.draws(200, 3, widest=draws.WIDEST), Draws(200, **drawn.drawn(3, 0, 200))
+    parts = {name: given.columns(name, 2) for name in parametric_robot.NAMES}
+    torque = ParametricPlant(robot, WHOLE).functions_as_c[f"{WHOLE}_torque"]
+    zeta = np.array([0.2, -0.3])
+    deflected = np.concatenate([np.zeros(2), zeta, np.zeros(2)])
+    found = [torque(deflected, row).full().ravel()[:2] for row in parametric_robot.vector(parts)]
+    np.testing.assert_allclose(found, table[:, :2] * zeta + table[:, 2:4] * zeta**3, rtol=1e-9)
+    for column in drawn.columns["cubic"]:
+        assert abs(column.distribution.share(given.columns("cubic", 2)[:, column.entry]).mean() - 0.5) < 0.1
+
+
+def test_a_number_of_the_whole_run_is_the_largest_of_the_joints() -> None:
+    drawn = PosteriorDraws(hardening(), TWO, ("a", "b"))
+    given = Draws(200, **drawn.drawn(3, 0, 200))
+    (column,) = drawn.columns["smoothing"]
+    assert (column.column, column.entry) == ("smoothing", 0)
+    values = given.columns("smoothing", 2)[:, column.entry]
+    np.testing.assert_allclose(values, hardening().draws(200, 3, widest=draws.WIDEST)[:, 4:].max(axis=1), rtol=1e-12)
+    assert np.histogram(column.distribution.share(values), 4, (0, 1))[0].min() > 30
+
+
+@pytest.mark.parametrize("matrix", ["K", "M_m", "D_l", "D_m"])
+def test_a_robot_whose_joints_are_coupled_has_no_drawn_plants(matrix: str) -> None:
+    """An identification has a value for each joint, and a draw would lose what is off the diagonal."""
+    coupled = replace(TWO, **{matrix: np.diag(np.diag(getattr(TWO, matrix))) + 1e-3 * np.array([[1, 1], [1, 1]])})
+    assert len(drawn_plants(hardening(), TWO, 3, 0)) == 3
+    refused(ParameterError, lambda: drawn_plants(hardening(), coupled, 3, 0), f"{matrix} of the robot couples")
 
 
 def test_marginal_shares_of_the_draws_are_uniform(whole: Any) -> None:

@@ -21,10 +21,7 @@ from fjr_msgs_py.console.output import DASH, number, percent, plural
 from .suite import NOMINAL, Suite
 from .trial import Direction, Imperfection, directions
 
-SHORT = {
-    "pd_gravity": "PD + gravity",
-    "singular_perturbation": "singular perturbation",
-}
+SHORT = {"pd_gravity": "PD + gravity", "singular_perturbation": "singular perturbation"}
 VERSIONS = {"pd_feedforward": "pd_gravity", "torque_feedback_feedforward": "torque_feedback"}
 TIE = 0.05  # relative; smaller differences count as equal
 BEGIN, END = "<!-- fjr compare: begin -->", "<!-- fjr compare: end -->"

@@ -159,15 +159,13 @@ class Sweep:
     def draws(self, begin: int, end: int) -> Draws:
         """Return the draws of the runs begin .. end - 1, which depend only on the numbers of the runs."""
         n, count = self.scenario.robot.n, end - begin
-        limit = np.asarray(self.scenario.settings.effort)
-        fixed: dict[str, Any] = {"effort_limit": np.tile(limit, (count, 1))}
+        fixed: dict[str, Any] = {"effort_limit": np.tile(np.asarray(self.scenario.settings.effort), (count, 1))}
         for name, distribution in self.vary.items():
             values = distribution.drawn(name, self.seed, begin, count, n)
             fixed[name] = values[:, 0] if PARAMETERS[name].per_run else values
         if self.identified is not None:
             fixed |= self.identified.drawn(self.seed, begin, count)
-        seeds = draws.rows((self.seed, draws.stream(NOISE_SEED)), begin, count, 1)[:, 0]
-        return Draws(count, **fixed, seed=seeds)
+        return Draws(count, **fixed, seed=draws.rows((self.seed, draws.stream(NOISE_SEED)), begin, count, 1)[:, 0])
 
     def part(self, begin: int, end: int) -> Columns:
         """Run begin .. end - 1; return number, draws, success and outcomes as columns by name."""
@@ -196,8 +194,7 @@ class Sweep:
         """Draws from the posterior; raises ParameterError."""
         if self.posterior is None:
             return None
-        found = Identification.from_dict(self.posterior)
-        return PosteriorDraws(found, self.scenario.plant.robot, self.scenario.joints)
+        return PosteriorDraws(Identification.from_dict(self.posterior), self.scenario.plant.robot, self.scenario.joints)
 
     @cached_property
     def drawn(self) -> tuple[DrawnColumn, ...]:

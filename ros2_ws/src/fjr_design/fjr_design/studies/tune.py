@@ -281,8 +281,7 @@ def search(
         kept |= dict(zip(points, scores, strict=True))
     ranked = sorted((point for point in kept if point != start), key=lambda point: kept[point].cost)
     finalists = [start, *ranked[:FINALISTS]]
-    costs = [score.cost for score in evaluate(finalists, second)]
-    return kept, finalists[int(np.argmin(costs))]
+    return kept, finalists[int(np.argmin([score.cost for score in evaluate(finalists, second)]))]
 
 
 def _strategy(dimension: int, seed: int) -> Any:

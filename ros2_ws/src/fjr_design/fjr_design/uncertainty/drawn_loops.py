@@ -161,8 +161,7 @@ class DrawnLoops:
 
 def _held(A: Array, B: Array, times: Array, frequency: float) -> tuple[Array, Array]:
     """Return Phi and Gamma of each plant over its own time [s], with velocities scaled by the frequency."""
-    half = A.shape[1] // 2
-    size = np.repeat([1.0, 1.0 / max(frequency, 1e-9)], half)[:, None]
+    size = np.repeat([1.0, 1.0 / max(frequency, 1e-9)], A.shape[1] // 2)[:, None]
     durations, scale = times[:, None, None], size / size.T
     Phi, Gamma = held_maps(A * scale * durations, B * size * durations, 1.0)
     return Phi / scale, Gamma / size

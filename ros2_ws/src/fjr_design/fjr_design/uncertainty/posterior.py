@@ -20,7 +20,7 @@ import numpy as np
 from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import read_text
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.checks import Array
+from fjr_core.numerics.checks import Array, is_diagonal
 from fjr_core.simulation.deviations import DEVIATIONS, POINT, Deviation
 from fjr_design.batch import draws
 from fjr_design.batch.draws import LOG_NORMAL, NORMAL, Distribution, DrawnColumn
@@ -36,9 +36,10 @@ MATRICES = {one.parameter: one.matrix for one in DEVIATIONS.values() if one.matr
 """Matrices of a robot whose diagonals are drawn, by the name of their parameter in an identification."""
 NAMES = {one.parameter: one for one in DEVIATIONS.values() if one.parameter}
 """The glossary of deviations, by their names in an identification."""
-DELAY = "effort_delay"
+DELAY, CUBIC = "effort_delay", "cubic"
 LEAST = 1e-3  # of the robot's own value; smallest drawn stiffness and motor inertia
 STREAM = "posterior"
+SAMPLES = 4096  # for the marginal of a difference
 WHOLE = 8.0  # standard deviations, beyond which one draw in 10^15 is
 
 
@@ -210,10 +211,13 @@ def read_identification(path: Path) -> Identification:
 def drawn_plants(found: Identification, robot: Robot, count: int, seed: int, widened: float = 1.0) -> DrawnPlants:
     """Return `count` plants; what is not identified is as in the robot, which has the joints of the identification.
 
-    widened: factor on the posterior's standard deviations. The delay of a plant is the largest of its joints.
+    widened: factor on the posterior's standard deviations. The delay of a plant is the largest of its joints. Raises
+    ParameterError for a robot whose stiffness, motor inertia or damping couples its joints.
     """
     table, columns = replace(found, covariance=widened**2 * found.covariance).draws(count, seed), {}
     for name, matrix in MATRICES.items():
+        if not is_diagonal(getattr(robot, matrix)):
+            raise ParameterError(f"{matrix} of the robot couples its joints; expected a diagonal matrix, as identified")
         own = np.diag(getattr(robot, matrix))
         least = LEAST * own if matrix in ("K", "M_m") else 0.0
         columns[NAMES[name].name] = np.maximum(found.values(table, NAMES[name], own), least)
@@ -224,8 +228,9 @@ def drawn_plants(found: Identification, robot: Robot, count: int, seed: int, wid
 class PosteriorDraws:
     """Draws of an identification as deviations from a robot with its joints.
 
-    Stiffness, motor inertia and damping are factors on the values of the robot, friction and payload are levels; the
-    delay is the largest of the joints. Raises ParameterError for other joints and for a factor on a value of zero.
+    Stiffness, motor inertia and damping are factors on the values of the robot, friction and payload are levels; a
+    cubic stiffness is beside the curve of the robot, which its stiffness scales; delay and smoothing are the largest of
+    the joints. Raises ParameterError for other joints and for a factor on a value of zero.
     """
 
     found: Identification
@@ -246,19 +251,19 @@ class PosteriorDraws:
             each, (one, entry) = self.found.estimates[index], self.found.places[index]
             scale = float(self._nominal(one)[entry]) if one.matrix else 1.0
             if not scale > 0:
-                raise ParameterError(
-                    f"{each.name} of {each.joint} is 0 in the scenario; expected the identified robot file, "
-                    "whose values the posterior scales"
-                )
+                zero = f"{each.name} of {each.joint} is 0 in the scenario"
+                raise ParameterError(f"{zero}; expected the identified robot file, whose values the posterior scales")
             mean, deviation = float(self.found.mean[k]), max(float(np.sqrt(self.found.covariance[k, k])), 1e-12)
+            if one.name == CUBIC:
+                beside = self._values(one, self.found.draws(SAMPLES, 0))[:, entry]
+                mean, deviation = float(beside.mean()), max(float(beside.std()), 1e-12)
             marginal = Distribution(NORMAL, (mean / scale, deviation / scale))
             if self.found.coordinates[k] == LOG:
                 marginal = Distribution(LOG_NORMAL, (float(np.exp(mean)) / scale, deviation))
-            suffix = "xyz"[entry] if one.per == POINT else "" if each.name == DELAY else each.joint
-            column = f"{one.name}.{suffix}" if suffix else one.name
-            found[one.name].append(DrawnColumn(column, one.name, 0 if each.name == DELAY else entry, marginal))
-        delay = NAMES[DELAY].name  # of the joints, the largest
-        found[delay] = sorted(found[delay], key=lambda column: -column.distribution.numbers[0])[:1]
+            suffix = "" if one.per_run else f".{'xyz'[entry] if one.per == POINT else each.joint}"
+            column = DrawnColumn(one.name + suffix, one.name, 0 if one.per_run else entry, marginal)
+            columns = [*found[one.name], column]
+            found[one.name] = [max(columns, key=lambda each: each.distribution.numbers[0])] if one.per_run else columns
         return {name: columns for name, columns in found.items() if columns}
 
     @property
@@ -271,12 +276,17 @@ class PosteriorDraws:
         """Return the draws by deviation, (count, n), (count,) or (count, 3), of the runs from `first` on."""
         table, found = self.found.draws(count, seed, first, draws.WIDEST), {}
         for name in self.columns:
-            one = DEVIATIONS[name]
-            nominal = self._nominal(one)
-            values = self.found.values(table, one, nominal) / np.where(nominal > 0, nominal, 1.0)
-            late = one.parameter == DELAY
-            found[name] = np.maximum(values.max(axis=1), 0.0) if late else values[:, 0] if one.per_run else values
+            values = self._values(DEVIATIONS[name], table)
+            found[name] = np.maximum(values.max(axis=1), 0.0) if DEVIATIONS[name].per_run else values
         return found
+
+    def _values(self, one: Deviation, table: Array) -> Array:
+        """Return the values (k, .) of a deviation from the draws (k, p) of all estimates."""
+        nominal = self._nominal(one)
+        values = self.found.values(table, one, nominal)
+        if one.matrix:
+            return values / np.where(nominal > 0, nominal, 1.0)
+        return values - self._values(DEVIATIONS["stiffness"], table) * nominal if one.name == CUBIC else values
 
     def range(self, name: str) -> tuple[float, float]:
         """Return the smallest and the largest value of a deviation, by its marginals."""
@@ -284,7 +294,9 @@ class PosteriorDraws:
         return min(low for low, _ in ranges), max(high for _, high in ranges)
 
     def _nominal(self, one: Deviation) -> Array:
-        """Return the values of the robot that factors multiply, and zeros for levels of joints or of x, y, z."""
+        """Return the values of the robot, and zeros for those that it has not: levels of joints or of x, y, z."""
         if one.matrix:
             return np.diag(getattr(self.robot, one.matrix))
+        if one.name == CUBIC and self.robot.cubic is not None:
+            return self.robot.cubic
         return np.zeros(3 if one.per == POINT else len(self.joints))
