@@ -21,6 +21,7 @@ from fjr_core.numerics.checks import Array
 from fjr_identification.estimation.motion_record import MotionRecord, on_uniform_grid
 from fjr_identification.records.checks import findings, jumps
 from fjr_identification.records.missing_sensors import LONGEST, _most_moving, least_seen
+from fjr_identification.records.rigid_motion import RigidMotion, rigid_motion
 from system.motion_tables import MotionTable, one_joint, two_joints
 
 BOTH, MOTOR, SENSOR, LINK = ("link", "motor"), ("motor",), ("motor", "torque"), ("link", "torque")
@@ -335,3 +336,21 @@ def test_other_times_are_refused_in_one_sentence(sentence: str) -> None:
     with pytest.raises(RecordError, match="^run.csv") as caught:
         on_uniform_grid("run.csv", t, np.zeros((len(t), 1)), np.zeros((len(t), 1)))
     assert sentence in str(caught.value)
+
+
+def lines() -> RigidMotion:
+    """Return the motion of a joint whose record does not matter to the lines."""
+    q = np.sin(3 * GRID)[:, None]
+    return rigid_motion(MotionRecord("r", ("a",), GRID[1], q, q, 1.01 * q, np.full_like(q, np.nan)), fjr.single_link())
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
+def test_a_regressor_that_the_others_explain_has_no_slope_and_one_with_a_share_of_its_own_has(scale: float) -> None:
+    other, own = np.sin(3 * GRID), np.sin(7 * GRID)
+    noise = 1e-9 * np.random.default_rng(0).standard_normal(len(GRID))
+    for x in (2 * other + 3, np.full_like(GRID, 3.3), 0 * GRID):
+        found = lines().line(scale * x, 0.5 * other + noise, other)
+        assert (found.slope, found.deviation) == (0.0, np.inf)
+    found = lines().line(scale * (2 * other + 3 + 1e-2 * own), 0.5 * other + 4e-2 * own + noise, other)
+    assert found.slope * scale == pytest.approx(4.0, rel=1e-6)
+    assert found.unexplained < 1e-9

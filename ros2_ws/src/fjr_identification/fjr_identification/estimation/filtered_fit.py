@@ -179,12 +179,7 @@ def _deviation(sides: Sequence[Side]) -> float:
     return max(float(np.sqrt(squares / shares)) if shares > 0 else 0.0, least) or 1.0
 
 
-def filtered_fit(
-    setup: Estimation,
-    z: Array,
-    fixed: Collection[int] = (),
-    free: Collection[int] = (),
-) -> Array:
+def filtered_fit(setup: Estimation, z: Array, fixed: Collection[int] = (), free: Collection[int] = ()) -> Array:
     """Return z (p,) with the least errors of the equations and the least distance from the prior.
 
     fixed: entries that keep their prior; so do those that `undetermined` lists, other than `free`.

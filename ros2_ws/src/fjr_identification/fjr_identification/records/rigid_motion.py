@@ -28,6 +28,7 @@ CUTOFF = 8.0  # Hz
 SAMPLES = 4000  # that are kept, at most
 EDGE, LARGEST_EDGE = 2.0 / CUTOFF, 0.2  # s at each end where the filter is not settled, and share of the record
 LEAST_SHARE = 1e-6  # of a regressor's variance that the others do not explain
+ROUNDING = 1e-20  # share of the squares of a regressor below which it is constant
 
 
 def contradiction(kind: str, joint: str, seen: str, expected: str) -> Finding:
@@ -75,9 +76,10 @@ class RigidMotion:
 
         A regressor that the others explain has the slope 0 with an infinite deviation.
         """
+        least = len(x) * max(LEAST_SHARE * float(np.var(x)), ROUNDING * float(np.mean(x**2)))
         x, y = without(x, *others), without(y, *others)
         power, total = float(x @ x), float(y @ y)
-        if not power > LEAST_SHARE * len(x) * np.finfo(float).tiny or total == 0:
+        if not power > least or total == 0:
             return FittedLine(0.0, np.inf, 1.0)
         slope = float(x @ y) / power
         residual = y - slope * x
