@@ -65,6 +65,13 @@ def test_what_cannot_be_diagnosed_is_refused_in_one_sentence() -> None:
     refused(fjr.StateError, lambda: diagnose(record().u, LAW), "record is a ndarray; expected a fjr.Record")
 
 
+@pytest.mark.parametrize("known", [slice(50, 150), np.arange(2501) % 208 > 0], ids=["a short time", "not at some"])
+def test_a_run_whose_reference_is_known_at_few_states_is_diagnosed(known: Any) -> None:
+    jets = np.full_like(record().jets, np.nan)
+    jets[known] = record().jets[known]
+    assert diagnose(replace(record(), jets=jets), LAW).kind == "holding"
+
+
 def test_exact_model_predicts_the_next_state() -> None:
     found = innovations(record(), LAW)
     assert np.abs(found.error).max() <= 1e-11

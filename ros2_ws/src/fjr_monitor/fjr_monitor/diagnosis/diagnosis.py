@@ -256,9 +256,8 @@ class Visited:
         """Add configurations (k, n), of which the first `begin` were there."""
         new = q_l[begin:]
         finite = np.asarray(np.isfinite(new).all(axis=1))
-        places = np.arange(-self._count % self._stride, len(new), self._stride)
-        self.some.append(new[places[finite[places]]])
-        self._count, self._finite = self._count + len(new), self._finite and bool(finite.all())
+        self.some.append(new[finite][-self._count % self._stride :: self._stride])
+        self._count, self._finite = self._count + int(finite.sum()), self._finite and bool(finite.all())
         self._least = np.minimum(self._least, new.min(axis=0, initial=np.inf))
         self._largest = np.maximum(self._largest, new.max(axis=0, initial=-np.inf))
         self._step = np.maximum(self._step, np.max(np.abs(np.diff(q_l, axis=0)), axis=0, initial=0.0))
