@@ -67,7 +67,7 @@ class Tracking:
     largest_share_of_effort_limit: float | None  # of all joints with a limit; null: no limit
     initial_error_rad: float
     max_error_after_2s_rad: float  # null: the run is shorter; likewise the next
-    rms_error_after_2s_rad: float
+    rms_error_after_2s_rad: float  # root mean square over the joints
     settling_time_2_percent_s: float | None  # |error| stays within 2 % of the initial one
     saturated_fraction: float | None  # commands with any joint at its limit; null: no limit
     reference_mismatch_rad: float  # recorded minus planned reference: a cross-check, near 0
@@ -133,8 +133,7 @@ def settling_time(t: Array, values: Array, band: float) -> float | None:
     """Return the first time [s] after the last one at which values (k,) exceed the band; None if never or unknown."""
     outside = np.flatnonzero(values > band)
     after = int(outside[-1]) + 1 if outside.size else 0
-    known = np.isfinite(band) and np.isfinite(values).any() and after < len(t)
-    return float(t[after]) if known else None
+    return float(t[after]) if np.isfinite(band) and np.isfinite(values).any() and after < len(t) else None
 
 
 def _peak_and_rms(values: Array) -> tuple[float, float]:
@@ -191,15 +190,16 @@ def storage(t: Array, V: Array, beta: float, proven: bool) -> Storage | None:
     """
     if not np.isfinite(V[0]):
         return None
-    ratio, relative = V / (V[0] * np.exp(-2.0 * beta * t)), V / (V[0] or 1.0)
-    first, within = int(np.argmax(relative <= DECAYED)), ratio <= 1.0
-    leaves = len(t) - int(np.argmax(within[::-1])) if within.any() else 0  # V(0) is on the bound, unless it is 0
+    bound, relative = V[0] * np.exp(-2.0 * beta * t), V / (V[0] or 1.0)
+    first, within = int(np.argmax(relative <= DECAYED)), bound >= V
+    leaves, decayed = len(t) - int(np.argmax(within[::-1])) if within.any() else 0, 0 < relative[first] <= DECAYED
+    ratio = np.divide(V, bound, out=bound, where=bound > 0)
     steady = relative[t >= STEADY_AFTER]
     return Storage(
         initial=float(V[0]),
         guaranteed_decay_rate_per_s=2.0 * beta,
         guarantee_is_proven=proven,
-        measured_decay_rate_per_s=float(-np.log(relative[first]) / t[first]) if relative[first] <= DECAYED else None,
+        measured_decay_rate_per_s=float(-np.log(relative[first]) / t[first]) if decayed else None,
         leaves_bound_at_s=float(t[leaves]) if leaves < len(t) else None,
         relative_where_it_leaves=float(relative[leaves]) if leaves < len(t) else None,
         largest_ratio_to_bound_before=float(ratio[:leaves].max(initial=1.0)),
@@ -209,7 +209,7 @@ def storage(t: Array, V: Array, beta: float, proven: bool) -> Storage | None:
 
 @dataclass(frozen=True)
 class Energy:
-    """The power balance, integrated over the run [J]: stored = supplied - dissipated + residual."""
+    """The power balance [J] over the steps whose powers are all known: stored = supplied - dissipated + residual."""
 
     supplied_j: float
     dissipated_j: float
@@ -221,8 +221,8 @@ class Energy:
 def steps(part: RunData, B_m: Array, beta: float, before: Array) -> dict[str, Array]:
     """Return the mean powers (k,) [W] in the step that ends at each new state of a part, NaN: unknown.
 
-    watts (k, 4): FLOWS of the power balance, with the measured motor torque where available; joules (k, 4) [J]: their
-    integrals from before (4,) on. measured, predicted, least: -dV/dt, that of the model, 2 beta V. B_m: input matrix.
+    watts (k, 4): FLOWS, with the measured motor torque where available; joules (k, 4) [J]: their integrals from before
+    (4,) on, over steps with all. measured, predicted, least: -dV/dt, that of the model, 2 beta V. B_m: input matrix.
     """
     n, dt, V = part.u.shape[1], np.diff(part.t), part.V
     displacement, dissipated = np.diff(part.position[:, n:], axis=0), part.certificate.dissipated
@@ -232,7 +232,7 @@ def steps(part: RunData, B_m: Array, beta: float, before: Array) -> dict[str, Ar
         watts = np.column_stack([supplied, dissipated, stored, stored - supplied + dissipated])
         found = {
             "watts": watts,
-            "joules": watts * dt[:, None],
+            "joules": np.where(np.isfinite(watts[:, 3:]), watts, 0.0) * dt[:, None],
             "measured": -np.diff(V) / dt,
             "predicted": -part.certificate.held_rate(part.u),
             "least": beta * (V[:-1] + V[1:]),
