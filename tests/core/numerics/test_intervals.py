@@ -117,3 +117,20 @@ def test_rate_of_coupled_gains_is_not_above_the_exact_one(condition: float) -> N
             least = min(mpmath.eigsy(root * half * root.T, eigvals_only=True))
         for rate in (law.rate(), law.proven_rate(most_boxes=2)):
             assert rate.beta_l <= least * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("condition", [1e6, 1e9, 1e12])
+def test_rate_of_coupled_damping_is_not_above_the_exact_one_at_any_position(condition: float) -> None:
+    """Of K_ld with this condition number, eigenvalues in floating point are up to 1e-4 too large."""
+    arm = fjr.planar_two_link()
+    with mpmath.workdps(60):
+        roots = [mpmath.cholesky(mpmath.matrix(arm.M_l([0.0, q]).tolist())) ** -1 for q in (0.0, np.pi)]
+        for angle in np.linspace(0.2, 1.3, 12):
+            R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            law = fjr.TrackingLaw(
+                arm, fjr.Gains(10.0, 20.0, symmetric(R @ np.diag([condition, 1.0]) @ R.T), 15, 60, 0.3)
+            )
+            damping = mpmath.matrix((arm.D_l + law.gains.K_ld).tolist())
+            least = min(min(mpmath.eigsy(root * damping * root.T, eigvals_only=True)) for root in roots)
+            assert law.rate().proven
+            assert law.rate().beta_sigma_l <= least * (1 + 1e-9)

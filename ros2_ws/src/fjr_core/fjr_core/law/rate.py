@@ -51,9 +51,8 @@ def rate(robot: Robot, gains: CheckedGains, configurations: ArrayLike | None = N
     samples = () if proven else checked_configurations(robot, configurations, RATE_CONFIGURATIONS)
     inertias = [robot.M_l(q_l) for q_l in samples] or list(robot.links.M_l_vertices or ())
     damping_l = robot.D_l + gains.K_ld
-    beta_sigma_l = min(float(relative_eigenvalues(damping_l, M_l)[0]) for M_l in inertias)
-    largest_inertia = max(float(np.linalg.eigvalsh(M)[-1]) for M in inertias)
-    return _of_blocks(robot, gains, beta_sigma_l, largest_inertia, proven)
+    beta_sigma_l = min(_least(damping_l, M_l, proven) for M_l in inertias)
+    return _of_blocks(robot, gains, beta_sigma_l, max(float(np.linalg.eigvalsh(M)[-1]) for M in inertias), proven)
 
 
 def rate_from_inertia_bounds(robot: Robot, gains: CheckedGains, bound: float, attained: float, largest: float) -> Rate:
@@ -68,9 +67,8 @@ def rate_from_inertia_bounds(robot: Robot, gains: CheckedGains, bound: float, at
 
 def _of_blocks(robot: Robot, gains: CheckedGains, beta_sigma_l: float, largest_inertia: float, proven: bool) -> Rate:
     damping_l, damping_m = robot.D_l + gains.K_ld, robot.D_m + gains.K_md
-    beta_sigma_m, beta_l, beta_m = float(relative_eigenvalues(damping_m, robot.M_m)[0]), gains.beta_l, gains.beta_m
+    beta_sigma_m, beta_l, beta_m = _least(damping_m, robot.M_m, proven), gains.beta_l, gains.beta_m
     if proven:
-        beta_sigma_m = _safe(beta_sigma_m, Interval.exact(damping_m), robot.M_m)
         beta_l = _safe(beta_l, _position_block(gains.Pi_l, gains.Lambda_l), gains.Pi_l)
         beta_m = _safe(beta_m, _position_block(gains.Pi_m, gains.Lambda_m), gains.Pi_m)
     smallest_damping = min(float(np.linalg.eigvalsh(damping)[0]) for damping in (damping_l, damping_m))
@@ -85,6 +83,12 @@ def _of_blocks(robot: Robot, gains: CheckedGains, beta_sigma_l: float, largest_i
         beta_sigma_m=beta_sigma_m,
         proven=proven,
     )
+
+
+def _least(damping: Array, M: Array, proven: bool) -> float:
+    """Return the largest rate with damping >= rate M; proven: a safe one."""
+    rate = float(relative_eigenvalues(damping, M)[0])
+    return _safe(rate, Interval.exact(damping), M) if proven else rate
 
 
 def _position_block(Pi: Array, Lambda: Array) -> Interval:

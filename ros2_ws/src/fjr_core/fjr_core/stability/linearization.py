@@ -28,10 +28,7 @@ LEAST_FACTOR = 1e-4
 
 
 def linearize(
-    law: SampledLaw,
-    configurations: ArrayLike | None = None,
-    plant: Plant | None = None,
-    sensing: Sensing | None = None,
+    law: SampledLaw, configurations: ArrayLike | None = None, plant: Plant | None = None, sensing: Sensing | None = None
 ) -> SampledLoop:
     """Linearise the closed loop of a law and its own robot, or another plant, at configurations (k, n) [rad].
 
