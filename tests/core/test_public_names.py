@@ -147,6 +147,15 @@ def test_a_reference_without_bounds_of_its_motion_is_refused_by_what_it_lacks() 
     refused(fjr.TrajectoryError, lambda: OF_REFERENCES[1](Mine()), "reference is a Mine without motion_bounds")
 
 
+def test_limits_and_a_certificate_are_made_of_what_they_need() -> None:
+    own = fjr.JointLimits([-1.0, -1.0], [1.0, 1.0], [1.0, 1.0], [1.0, 1.0])
+    refused(fjr.TrajectoryError, lambda: fjr.check_motion(MOTION, own), "limits is a JointLimits; expected a fjr.Mo")
+    fjr.check_motion(MOTION, fjr.MotionLimits.of(own, 2))
+    refused(fjr.StateError, lambda: fjr.Certificate(ARM), "law is a Robot; expected v-dPBC, a fjr.TrackingLaw")
+    body = fjr.Body(np.eye(3), np.zeros(3), [0, 0, 1], [2.0], np.zeros(3), np.eye(3))
+    assert fjr.serial_chain([body]).M_l([0.0]) == 1.0
+
+
 def test_a_run_shorter_than_a_step_is_refused() -> None:
     plant = fjr.Plant(ARM)
     refused(fjr.StateError, lambda: fjr.simulate(plant, LAW, MOTION, START, 5e-4, 1e-3), "at least one step of 0.001 s")

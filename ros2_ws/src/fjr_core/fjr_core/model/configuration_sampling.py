@@ -37,8 +37,7 @@ def loop_configurations(robot: Robot) -> Array:
     """
     sampled = sample_configurations(robot, RATE_CONFIGURATIONS + ALIGNED_CONFIGURATIONS)
     aligns = np.random.default_rng(0).random((ALIGNED_CONFIGURATIONS, robot.n)) < 0.5
-    aligned = np.where(aligns, sampled[0], sampled[RATE_CONFIGURATIONS:])
-    return np.vstack([sampled[:RATE_CONFIGURATIONS], aligned])
+    return np.vstack([sampled[:RATE_CONFIGURATIONS], np.where(aligns, sampled[0], sampled[RATE_CONFIGURATIONS:])])
 
 
 def checked_configurations(robot: Robot, configurations: ArrayLike | None, k: int | None = None) -> Array:

@@ -34,6 +34,8 @@ def serial_chain(
     if not chain:
         raise RobotError("a chain without bodies; expected at least one")
     order = list(range(len(chain)) if order is None else order)
+    if sorted(order) != list(range(len(chain))):
+        raise RobotError(f"order is {order}; expected each of 0 to {len(chain) - 1} once")
     return _derived(pickle.dumps((chain, order, rotation_to(np.asarray(bodies[-1].axis)), g)))
 
 
@@ -165,8 +167,7 @@ class ChainAt:
         torques, gravity = [], ca.SX(self.gravity)
         for body, frame, composite in zip(self.bodies, self.frames, self.composites, strict=True):
             gravity = frame.R.T @ gravity
-            pull = composite.m * gravity if body.prismatic else ca.cross(composite.h, gravity)
-            torques.append(-pull[2])
+            torques.append(-(composite.m * gravity if body.prismatic else ca.cross(composite.h, gravity))[2])
         return ca.vertcat(*torques)
 
     def inertial_torque(self, v: ca.SX, w: ca.SX, dw: ca.SX) -> ca.SX:

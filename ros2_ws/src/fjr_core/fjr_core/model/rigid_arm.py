@@ -160,8 +160,7 @@ class Body:
         for name in ("rotation", "inertia"):
             object.__setattr__(self, name, checks.matrix(name, getattr(self, name), 3, RobotError))
         checks.positive_semidefinite("inertia", np.asarray(self.inertia), RobotError)
-        if not checks.vector("mass", self.mass, 1, RobotError)[0] >= 0:
-            raise RobotError(f"mass is {self.mass} kg; expected 0 or more")
+        object.__setattr__(self, "mass", checks.positive("mass", self.mass, RobotError, "kg", zero=True))
         if not np.linalg.norm(np.asarray(self.axis)) > 0:
             raise RobotError("axis is zero; expected a direction")
         R = np.asarray(self.rotation)

@@ -23,7 +23,7 @@ from ..law.vdpbc import TrackingLaw
 from ..model import springs
 from ..model.port_hamiltonian import Plant
 from ..motions.reference import JETS
-from ..numerics.checks import Array
+from ..numerics.checks import Array, instance
 from ..numerics.integrators import rk4_expression
 from ..numerics.one_line import one_line
 from ..numerics.symbolic import dense_function, evaluate_rows, symbols
@@ -75,6 +75,7 @@ class Certificate:
         return f"Certificate({self.law!r})"
 
     def __init__(self, law: TrackingLaw) -> None:
+        instance("law", law, TrackingLaw, StateError, "v-dPBC, a fjr.TrackingLaw")
         self.law = law
 
     def along(

@@ -54,8 +54,7 @@ def motor_motion(robot: Robot, *motion: ca.SX) -> MotorMotion:
 @lru_cache(maxsize=8)
 def inverse_dynamics(robot: Robot) -> ca.Function:
     """Return the CasADi function (q, dq, ddq, d3q, d4q) -> the fields of MotorMotion."""
-    names = ("q", "dq", "ddq", "d3q", "d4q")
-    q, dq, ddq, d3q, d4q = motion = [ca.SX.sym(name, robot.n) for name in names]
+    q, dq, ddq, d3q, d4q = motion = [ca.SX.sym(name, robot.n) for name in ("q", "dq", "ddq", "d3q", "d4q")]
     tau = spring_torque(robot, q, dq, ddq)
     dtau = ca.jtimes(tau, ca.vertcat(q, dq, ddq), ca.vertcat(dq, ddq, d3q))
     ddtau = ca.jtimes(dtau, ca.vertcat(q, dq, ddq, d3q), ca.vertcat(dq, ddq, d3q, d4q))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import TrajectoryError
 from ..model.robot import REVOLUTE, JointLimits, Units
-from ..numerics.checks import Array, freeze, limits
+from ..numerics.checks import Array, freeze, instance, limits
 from ..numerics.one_line import one_line
 from .piecewise_polynomial import PolynomialReference
 from .reference import Reference, check_reference
@@ -85,6 +85,7 @@ def check_motion(
     the limits need no further check.
     """
     check_reference(reference, "motion_bounds")
+    instance("limits", limits, MotionLimits, TrajectoryError, "a fjr.MotionLimits, e.g. of(robot.limits, robot.n)")
     if limits.n != reference.n:
         raise TrajectoryError(f"limits are of {limits.n} joints; expected those of the reference, {reference.n}")
     if isinstance(reference, Spline):
