@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import pytest
 from rclpy.node import Node
@@ -102,11 +103,25 @@ def test_bars_show_decades_of_errors_and_the_sign_of_efforts_up_to_the_limit() -
     assert sparkline((), 5) == ""
 
 
+def received(times: Iterable[tuple[int, int]], ahead: int = 0) -> list[tuple[int, int, int]]:
+    """Return stamps and send times [ns] with receive times 50 us later; ahead [ns]: of the sender's clock."""
+    return [(stamp, time + ahead, time + 50_000) for stamp, time in times]
+
+
+@pytest.mark.parametrize("ahead", [5000 * MS, -5000 * MS, 2 * MS])
+def test_the_latency_does_not_depend_on_the_clock_of_the_controllers_machine(ahead: int) -> None:
+    watched, sent = Watched("t"), [(k * MS, k * MS + 100) for k in range(1, 5001)]
+    for some in (sent[:700], sent[700:]):
+        watched.sent(received(some))
+        watched.answered(received(((stamp, time + 200_000) for stamp, time in some), ahead))
+    assert watched.view(5.0).timing.latency == pytest.approx((2e-4, 2e-4, 2e-4))
+
+
 def test_timing_covers_the_last_seconds() -> None:
     watched = Watched("t")
     sent = [(k * MS, k * MS + 100) for k in range(1, 5001)]
-    watched.sent(sent)
-    watched.answered([(stamp, time + 200_000) for stamp, time in sent if stamp % (100 * MS)])
+    watched.sent(received(sent))
+    watched.answered(received((stamp, time + 200_000) for stamp, time in sent if stamp % (100 * MS)))
     timing = watched.view(5.0).timing
     assert timing is not None
     assert timing.rate == pytest.approx(1000.0)
@@ -117,8 +132,8 @@ def test_timing_covers_the_last_seconds() -> None:
 
 def test_a_clock_that_is_set_back_restarts_the_timing() -> None:
     watched, hour = Watched("t"), 3_600_000 * MS
-    watched.sent([(k * MS, hour + k * MS) for k in range(100)])
-    watched.sent([(k * MS, k * MS) for k in range(100, 5000)])
+    watched.sent(received((k * MS, hour + k * MS) for k in range(100)))
+    watched.sent(received((k * MS, k * MS) for k in range(100, 5000)))
     timing = watched.view(5.0).timing
     assert timing.rate == pytest.approx(1000.0)
     assert timing.period == pytest.approx((1e-3, 1e-3, 1e-3))
@@ -127,9 +142,9 @@ def test_a_clock_that_is_set_back_restarts_the_timing() -> None:
 
 def test_repeated_state_counts_once_and_a_reset_restarts_the_timing() -> None:
     watched = Watched("t")
-    watched.sent([(10 * MS, 1), (10 * MS, 50 * MS), (11 * MS, 51 * MS)])
+    watched.sent(received([(10 * MS, 1), (10 * MS, 50 * MS), (11 * MS, 51 * MS)]))
     assert watched.view(0.0).timing.period[2] == pytest.approx(0.051, rel=1e-3)
-    watched.sent([(1 * MS, 100 * MS), (2 * MS, 101 * MS)])
+    watched.sent(received([(1 * MS, 100 * MS), (2 * MS, 101 * MS)]))
     assert watched.view(0.0).timing.period == pytest.approx((1e-3, 1e-3, 1e-3))
 
 

@@ -465,11 +465,26 @@ def test_states_that_the_recorder_lost_are_noted(
     assert Recording(read_bag(bag), model, 1.0).notes == (note,) * noted
 
 
-def received(run: Path, folder: Path, late: float = 0.0, lost: Collection[int] = (), step: int = 0) -> Path:
+@pytest.mark.parametrize("ahead", [0, 2_000_000, -2_000_000, 5_000_000_000, -5_000_000_000])
+def test_commands_of_another_machine_answer_their_states_whatever_its_clock_says(
+    ahead: int, run: Path, tmp_path: Path, model: Scenario
+) -> None:
+    """The recorder's clock is that of neither; before, 5 s cost the answers of as many seconds."""
+    _, wanted = read(received(run, tmp_path / "one machine"), model)
+    recording, found = read(received(run, tmp_path / "two machines", ahead=ahead), model)
+    np.testing.assert_array_equal(found.u, wanted.u)
+    np.testing.assert_allclose(found.latency, wanted.latency, rtol=0, atol=1e-9)
+    note = f"the commands' clock is {ahead * 1e-9:+g} s ahead (two machines, or a slow network): corrected"
+    assert recording.notes == (note,) * bool(ahead)
+
+
+def received(
+    run: Path, folder: Path, late: float = 0.0, lost: Collection[int] = (), step: int = 0, ahead: int = 0
+) -> Path:
     """Copy the bag of a run with messages received when they were sent, every seventh of a topic `late` [s].
 
     lost: messages of each topic that are left out. step [ns]: by which the clock steps back between sending the middle
-    state and receiving it.
+    state and receiving it. ahead [ns]: of the clock of the controller's machine.
     """
     bag, writer = read_bag(run), BagWriter(folder)
     channels = {topic: writer.add_topic(topic, bag.topics[topic].type_name, [], "") for topic in OURS}
@@ -483,6 +498,7 @@ def received(run: Path, folder: Path, late: float = 0.0, lost: Collection[int] =
     middle = int(states[len(states) // 2])
     for k, (at, topic, message) in enumerate(sorted(messages, key=lambda each: each[0])):
         at, sent = at - step * (at >= middle), message.publish_time - step * (message.publish_time > middle)
+        sent += ahead * (topic != STATES)
         writer.write(channels[topic], at, sent, message.sequence, message.data)
         if k % 500 == 0:
             writer.flush()  # a recorder ends its chunks by time, so a fast run has few

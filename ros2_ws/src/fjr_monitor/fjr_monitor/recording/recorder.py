@@ -145,15 +145,11 @@ def qos_as_dict(profile: QoSProfile) -> dict[str, Any]:
         return {"sec": sec, "nsec": nsec}
 
     return {
-        "history": profile.history.name.lower(),
-        "depth": profile.depth,
-        "reliability": profile.reliability.name.lower(),
-        "durability": profile.durability.name.lower(),
-        "deadline": seconds(profile.deadline),
-        "lifespan": seconds(profile.lifespan),
-        "liveliness": profile.liveliness.name.lower(),
-        "liveliness_lease_duration": seconds(profile.liveliness_lease_duration),
-        "avoid_ros_namespace_conventions": profile.avoid_ros_namespace_conventions,
+        **{
+            name: getattr(profile, name).name.lower() for name in ("history", "reliability", "durability", "liveliness")
+        },
+        **{key: seconds(getattr(profile, key)) for key in ("deadline", "lifespan", "liveliness_lease_duration")},
+        **{key: getattr(profile, key) for key in ("depth", "avoid_ros_namespace_conventions")},
     }
 
 

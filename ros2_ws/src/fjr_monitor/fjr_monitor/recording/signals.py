@@ -32,6 +32,7 @@ SCANNED_MESSAGES = 1000  # for joint names
 TOGETHER = 8192  # states that are decoded at a time
 AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
 LOST = 0.01  # of the states; more that the recorder lost are noted
+CLOCKS = 500_000  # ns; a larger difference of the clocks of robot and controller is removed
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 END = 2**63 - 1
 Places = NDArray[np.int32]
@@ -111,6 +112,9 @@ class RunSignals:
     before the command. stamp, sent (k,) [ns]: stamps and send times of the states. answered (k,) [ns]: send times of
     their commands, -1: none. counters: last /diagnostics of each name. events: of the controller, each with its send
     time [ns]. has_reference: whether it was recorded. notes: on bag, states and commands.
+
+    Robot and controller on two machines send by two clocks. The recorder's clock reveals their difference, except that
+    of the shortest delays from both to the recorder; it is removed from the send times of the controller.
     """
 
     def __init__(self, bag: Bag, scenario: Scenario, duration: float) -> None:
@@ -121,7 +125,7 @@ class RunSignals:
         self._commands = next((topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)), None)
         kept = [STATES, *filter(None, [self._commands]), *filter(bag.holds, [REFERENCE])]
         self._numbers, self.has_reference = {topic: Columns() for topic in kept}, REFERENCE in kept
-        self._read(bag, scenario.joints)
+        self._ahead = self._read(bag, scenario.joints)
         self._references = _of_stamps(*self._choose(bag, duration), self._times(REFERENCE))[0]
 
     def states(self, rows: slice) -> tuple[Array, Array, Array]:
@@ -158,9 +162,13 @@ class RunSignals:
         """Return the times [ns] from states to their commands, where there is one."""
         return (self.answered - self.sent)[self.answered >= 0]
 
-    def _read(self, bag: Bag, joints: tuple[str, ...]) -> None:
-        """Read the messages, with counters and events; times [ns] are kept among the numbers, as bytes."""
+    def _read(self, bag: Bag, joints: tuple[str, ...]) -> int:
+        """Read the messages, with counters and events; times [ns] are kept among the numbers, as bytes.
+
+        Return by how much the clock of the commands is ahead of that of the states [ns].
+        """
         named = dict.fromkeys(self._numbers, joints) | {STATES: names.state_names(joints)}
+        ahead = dict.fromkeys(self._numbers, -END)  # send minus receive time
         beside = filter(bag.holds, (DIAGNOSTICS, EVENTS))
         for batch in bag.batches((*self._numbers, *beside), STATES, TOGETHER):
             for topic, numbers in self._numbers.items():
@@ -168,17 +176,21 @@ class RunSignals:
                 table = self.reader.complete(table) if topic == STATES else table
                 times = {"stamp": table.stamp.view(float), "sent": table.publish_time.view(float)}
                 numbers.add(**{name: getattr(table, name) for name in FIELDS[topic]}, **times)
+                ahead[topic] = max([ahead[topic], *(m.publish_time - m.log_time for m in batch[topic].messages)])
             for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
                 for status in message.status:
                     self.counters[status.name] = {pair.key: pair.value for pair in status.values}
             if EVENTS in batch:
                 self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
+        found = ahead[self._commands or STATES] - ahead[STATES]
+        return found if abs(found) > CLOCKS else 0
 
     def _times(self, topic: str) -> tuple[Times, Times]:
-        """Return stamps and send times [ns] of the messages of a topic."""
+        """Return stamps and send times [ns] of the messages of a topic, by the clock of the states."""
         if topic not in self._numbers:
             return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-        return self._numbers[topic].column("stamp").view(np.int64), self._numbers[topic].column("sent").view(np.int64)
+        stamp, sent = (self._numbers[topic].column(name).view(np.int64) for name in ("stamp", "sent"))
+        return stamp, sent if topic == STATES else sent - self._ahead
 
     def _choose(self, bag: Bag, duration: float) -> tuple[Times, Times]:
         """Find the rows of the run; return its stamps, and the send times [ns] of the ends of the section."""
@@ -223,6 +235,7 @@ class RunSignals:
         reader, end = self.reader, (self.stamp[-1] - self.stamp[0]) * 1e-9
         lost, kept = bag.held(STATES).lost or 0, bag.held(STATES).count
         unknown = "no effort of the controller, no latency"
+        ahead = f"the commands' clock is {self._ahead * 1e-9:+.4g} s ahead (two machines, or a slow network): corrected"
         commands = ""
         if self._commands is None:
             commands = f"neither {ANSWERS} nor {EFFORTS} was recorded: {unknown}"
@@ -238,6 +251,7 @@ class RunSignals:
             reader.no_motors,
             f"time jumps back {jumps} times: shown is the longest of {jumps + 1} parts" if jumps else "",
             commands,
+            ahead if self._ahead else "",
             f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown" if tail > TAIL else "",
         )
         return tuple(note for note in said if note)

@@ -197,7 +197,9 @@ class FjrWatch:
         self._now = now
         for subscription, on_times, on_last in self._stamped:
             taken = drained(subscription)
-            on_times([(header_stamp(data), info["source_timestamp"]) for data, info in taken])
+            on_times(
+                [(header_stamp(data), info["source_timestamp"], info["received_timestamp"]) for data, info in taken]
+            )
             for data, _ in taken[-1:]:
                 on_last(deserialize_message(data, subscription.msg_type))
         for subscription, on_newest in self._newest:

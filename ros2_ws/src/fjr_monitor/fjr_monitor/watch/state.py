@@ -18,6 +18,7 @@ HISTORY = 120  # values of V
 EVENTS = 6  # shown
 STALE = 5.0  # s without a diagnostic message
 NANO = 1e-9
+EVER = 2**63  # ns
 Values = Mapping[str, float]
 
 
@@ -107,6 +108,7 @@ class Watched:
         self._last_state: float | None = None
         self._sent: deque[tuple[int, int]] = deque()  # stamp, send time [ns] of states
         self._answered: dict[int, int] = {}  # send time [ns] of the command by the stamp of its state
+        self._ahead = [-EVER, -EVER]  # largest send minus receive times [ns] of states, commands
         self._certificate: dict[str, float] | None = None
         self._history: deque[float] = deque(maxlen=HISTORY)
         self._health: dict[str, tuple[float, NodeHealth]] = {}
@@ -126,20 +128,23 @@ class Watched:
         for joint, value in effort.items():
             self._peak[joint] = max(self._peak.get(joint, 0.0), abs(value))
 
-    def sent(self, times: Sequence[tuple[int, int]]) -> None:
-        """Store stamps and send times [ns] of states; duplicates of a stamp are ignored."""
-        for stamp, time in times:
+    def sent(self, times: Sequence[tuple[int, int, int]]) -> None:
+        """Store stamps, send and receive times [ns] of states; duplicates of a stamp are ignored."""
+        for stamp, time, received in times:
+            self._ahead[0] = max(self._ahead[0], time - received)
             if self._sent and (stamp < self._sent[-1][0] or time < self._sent[-1][1]):  # a reset, or of the clock
                 self._sent.clear()
                 self._answered.clear()
+                self._ahead = [time - received, -EVER]
             if not self._sent or stamp > self._sent[-1][0]:
                 self._sent.append((stamp, time))
         while self._sent and self._sent[-1][1] - self._sent[0][1] > WINDOW:
             self._answered.pop(self._sent.popleft()[0], None)
 
-    def answered(self, times: Sequence[tuple[int, int]]) -> None:
-        """Store state stamps and send times [ns] of commands."""
-        for stamp, time in times:
+    def answered(self, times: Sequence[tuple[int, int, int]]) -> None:
+        """Store state stamps, send and receive times [ns] of commands."""
+        for stamp, time, received in times:
+            self._ahead[1] = max(self._ahead[1], time - received)
             self._answered.setdefault(stamp, time)
         oldest = self._sent[0][0] if self._sent else 0
         for stamp in [stamp for stamp in self._answered if stamp < oldest]:
@@ -212,7 +217,8 @@ class Watched:
         if len(self._sent) < 2:
             return None
         sent = np.array([time for _, time in self._sent], dtype=float) * NANO
-        latencies = [self._answered[stamp] - time for stamp, time in self._sent if stamp in self._answered]
+        clocks = self._ahead[1] - self._ahead[0]  # of controller and robot on two machines
+        latencies = [self._answered[stamp] - clocks - time for stamp, time in self._sent if stamp in self._answered]
         pending = self._sent[-1][0] not in self._answered
         unanswered = len(self._sent) - len(latencies) - pending
         latency = _percentiles(np.array(latencies) * NANO) if latencies else None
