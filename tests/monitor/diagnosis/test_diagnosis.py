@@ -105,6 +105,11 @@ def test_known_latency_within_a_sample_is_holding_and_more_is_a_delay() -> None:
     assert diagnose(replace(known, answered=late.t + latency + 0.1e-3), LAW).kind == "holding"
     later = replace(record(delay=latency + 2e-3), sent=late.t, answered=late.t + latency)
     assert diagnose(later, LAW).causes == ("delay",)
+    for seen, delay in (
+        (known, latency),
+        (later, latency + 2e-3),
+    ):  # the age, as the delay margin, counts from the state
+        assert diagnose(seen, LAW).figures["effort age"] == pytest.approx(delay, abs=0.06 * PERIOD)
     other = replace(record(delay=latency, stiffness=29.0), sent=late.t, answered=late.t + latency)
     assert diagnose(other, LAW).causes[0] == "model mismatch"
 

@@ -53,7 +53,7 @@ class Acting(Table):
     cut: Array
     late: Array
     lost: Array
-    age: float  # samples, median delay
+    age: float  # samples, median delay with the known latency
 
 
 def needed(found: Innovations, robot: Robot) -> Array:
@@ -152,6 +152,8 @@ class ActingSums:
     def __init__(self, parts: Sequence[Innovations], age: EffortDelay, robot: Robot, timed: bool | None = None) -> None:
         """parts, timed: as of effort_delay."""
         self.age, self._robot = age, robot
+        latency = np.concatenate([found.latency for found in parts])
+        self._known = float(np.median(latency)) if len(latency) else 0.0
         self._counts = np.zeros(BEFORE, dtype=np.int64)
         self._mixed = self._changed = 0.0
         self._largest = np.zeros(robot.n)
@@ -187,7 +189,7 @@ class ActingSums:
             cut=np.where(cut, difference, zero),
             late=np.where(cut | lost, zero, difference),
             lost=np.where(lost, difference, zero),
-            age=total,
+            age=total + self._known,
         )
 
 

@@ -152,7 +152,7 @@ class OnlineDiagnosis:
                 judged.add(budget, made)
             risen = np.hstack([each for _, _, each in self._blocks])
             grown = growth(risen, judged.floor(self._axes.storage(self._law)))
-            age = (self._age.whole + self._age.fraction) * float(np.median(seen.dt))
+            age = float((self._age.whole + self._age.fraction + np.median(seen.latency)) * np.median(seen.dt))
             return judged.conclude(grown, {"effort age": age, "beta": self.beta, "last V": float(seen.V1[-1])})
 
     def _process(self, count: int) -> None:
