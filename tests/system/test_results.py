@@ -171,7 +171,7 @@ def test_a_violation_that_a_slow_machine_explains_is_no_verdict_and_advises_lock
     summary: RunSummary, in_time: float, causes: tuple[str, ...], lockstep: bool, late: bool
 ) -> None:
     said = _result([with_answers(summary, in_time, causes, lockstep)])
-    assert ("your machine answered late" in said.text, "try --lockstep" in said.text) == (late, late)
+    assert ("answers are late" in said.text, "try --lockstep" in said.text) == (late, late)
     assert ("violated" in said.text) == (not late)
     assert said.code == (Exit.LATE if late else Exit.VIOLATED)
     (run,) = said.values["runs"]
@@ -194,7 +194,7 @@ def test_a_slow_machine_leaves_no_verdict_without_V_either(summary: RunSummary) 
     report = with_answers(summary, 0.0, ()).report
     report = replace(report, verdict=replace(report.verdict, kind="unknown"))
     assert report.status == "late"
-    assert "your machine answered late (0 % of the states in time)" in report.advice
+    assert "answers are late (0 % of the states were answered in time)" in report.advice
     assert replace(report, lockstep=True).status == "unknown"
 
 
@@ -220,7 +220,7 @@ def test_a_stop_on_a_slow_machine_has_the_advice_too(
     assert ("try --lockstep" in report.advice) == advised
     assert not replace(report, lockstep=True).advice
     write_run_page(tmp_path / "report.html", found.data, report)
-    assert ("tracking error of joint1; your machine answered late" in (tmp_path / "report.html").read_text()) == advised
+    assert ("tracking error of joint1; answers are late" in (tmp_path / "report.html").read_text()) == advised
 
 
 def test_long_step_reports_until_it_ends(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

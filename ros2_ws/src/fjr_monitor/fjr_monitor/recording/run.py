@@ -283,8 +283,10 @@ class RecordedReference:
             return ("the recorded reference differs from the scenario's for a moment, too short to differentiate",)
         if self._start is None:
             return ()
-        other = "another reference than the scenario's was tracked: its derivatives are numerical"
-        return (f"from {self._start:.3f} s on {other}",)
+        other = "a transition, a trajectory, or a start before the bag's"
+        return (
+            f"from {self._start:.3f} s on the reference is not the scenario's ({other}): its derivatives are numerical",
+        )
 
 
 @dataclass(frozen=True)

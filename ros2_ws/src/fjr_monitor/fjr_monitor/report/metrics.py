@@ -25,22 +25,8 @@ from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import EXTERNAL, SAMPLING, Diagnosis, unknown
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.run import ControllerStop, Recording
+from fjr_monitor.report import performance
 from fjr_monitor.report.contact import Contact, contact
-from fjr_monitor.report.performance import (
-    FLOWS,
-    Counts,
-    Energy,
-    JointMetrics,
-    Storage,
-    Timing,
-    Tracking,
-    counts,
-    energy,
-    steps,
-    storage,
-    timing,
-    tracked,
-)
 from fjr_msgs_py.console.output import finite, milli, number, percent
 from fjr_msgs_py.console.provenance import Provenance
 
@@ -66,12 +52,12 @@ class Report:
     stop: ControllerStop | None  # first stop of the controller; null: it never stopped
     verdict: Diagnosis
     missing: tuple[str, ...]  # missing signals and their substitutes
-    tracking: Tracking
-    joints: list[JointMetrics]
-    storage: Storage | None  # null: V is unknown without motor positions
-    energy: Energy | None
-    timing: Timing
-    counts: Counts
+    tracking: performance.Tracking
+    joints: list[performance.JointMetrics]
+    storage: performance.Storage | None  # null: V is unknown without motor positions
+    energy: performance.Energy | None
+    timing: performance.Timing
+    counts: performance.Counts
     diagnostics: dict[str, dict[str, str]]  # last diagnostics of each node
     versions: dict[str, str]
     not_recorded: dict[str, str] = field(default_factory=dict)  # topic -> why it was not recorded
@@ -99,7 +85,7 @@ class Report:
 
     @property
     def advice(self) -> str:
-        """Return what to do about a late computer, as a sentence; empty if it explains neither status nor stop.
+        """Return what to do about late answers, as a sentence; empty if they explain neither status nor stop.
 
         It explains a stop in real time if less than KEEPS_UP of the answers were in time.
         """
@@ -108,7 +94,8 @@ class Report:
         if self.status != "late" and not stopped_late:
             return ""
         share, arrived = self.counts.answered_in_time_fraction or 0.0, self.counts.published_fraction
-        seen = f"your machine answered late ({percent(share, 0)} of the states in time)"
+        what = "missing" if (self.counts.unanswered or 0) > (self.counts.late or 0) else "late"
+        seen = f"answers are {what} ({percent(share, 0)} of the states were answered in time)"
         if arrived < share:
             seen = f"states are missing ({percent(arrived, 0)} of them arrived)"
         return f"{seen}, so this run does not judge the law; try --lockstep"
@@ -153,7 +140,7 @@ class Report:
         error, joint = self.tracking.max_error_after_2s_rad, self.tracking.max_error_after_2s_joint
         return milli(error, self._joint(joint).position_unit) + self._at(joint)
 
-    def _joint(self, name: str | None) -> JointMetrics:
+    def _joint(self, name: str | None) -> performance.JointMetrics:
         """Return the metrics of a joint, of the first one for None."""
         return next((each for each in self.joints if each.joint == name), self.joints[0])
 
@@ -185,9 +172,9 @@ class Metrics:
             rate = first.visited.rate(law)
             self._diagnosis = SecondPass(first, rate.beta)
         self.beta, self.proven = rate.beta, rate.proven and run.scenario.plant_is_the_model
-        joules = np.zeros(len(FLOWS))
+        joules = np.zeros(len(performance.FLOWS))
         for part in parts_of(run, size):
-            found = steps(part, run.scenario.robot.B_m, rate.beta, joules)
+            found = performance.steps(part, run.scenario.robot.B_m, rate.beta, joules)
             joules = found["joules"][-1]
             self.columns.add(V=part.V[part.begin :], H=part.certificate.H[part.begin :], **found)
             if self._diagnosis is not None:
@@ -215,7 +202,7 @@ class Metrics:
         stop, touched = run.stop, contact(run, law, touching) if touching and law else None
         if stop and touched and touched.begins_s <= stop.at_s <= touched.ends_s + AFTER_CONTACT:
             stop = replace(stop, reason=f"{stop.reason}; {touched.sentence}")
-        joints, tracking = tracked(run)
+        joints, tracking = performance.tracked(run)
         versions: dict[str, str] = {}
         for each in VERSIONS:
             with suppress(PackageNotFoundError):
@@ -233,10 +220,10 @@ class Metrics:
             missing=(*run.bag.notes, *run.notes),
             tracking=tracking,
             joints=joints,
-            storage=storage(run.columns.column("t"), self.columns.column("V"), self.beta, self.proven),
-            energy=energy(self.columns) if self.energy_known else None,
-            timing=timing(run.signals),
-            counts=counts(run, duration),
+            storage=performance.storage(run.columns.column("t"), self.columns.column("V"), self.beta, self.proven),
+            energy=performance.energy(self.columns) if self.energy_known else None,
+            timing=performance.timing(run.signals),
+            counts=performance.counts(run, duration),
             diagnostics=run.signals.counters,
             versions=versions,
             guesses=run.scenario.robot_warnings,

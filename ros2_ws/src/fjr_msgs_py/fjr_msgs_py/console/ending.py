@@ -32,7 +32,7 @@ MEANINGS = {
     Exit.FAILED: "failed: an error, or the controller stopped during the run",
     Exit.NOT_UNDERSTOOD: "the command line, the scenario or another file is not valid",
     Exit.VIOLATED: "the run finished, and its status is `violated`",
-    Exit.LATE: "the run finished, but the computer answered too late to judge the law; try --lockstep",
+    Exit.LATE: "the run finished, but answers were too late to judge the law; try --lockstep",
     Exit.INTERRUPTED: "ended by Ctrl-C or SIGTERM before it was done",
 }
 HELP = "exit codes:\n" + "\n".join(f"  {code:<4} {meaning.replace('`', '')}" for code, meaning in MEANINGS.items())
