@@ -150,12 +150,21 @@ def test_a_driver_that_freezes_at_rest_stops_the_arm_before_it_moves_faster_than
         loop.step()
     assert np.abs(loop.robot.velocities(loop.x)[0]).max() < 2.0
     assert loop.tracker.reason.startswith("stopped: no motion of ")
-    assert loop.tracker.reason.endswith(" s (driver, brake or drive?)")
+    assert loop.tracker.reason.endswith(" s (driver, brake, drive or network?)")
     for _ in range(2):
         assert (loop.step().u == loop.tracker.stop_effort()).all()
         loop.tracker.resume()
         loop.run(1.0)
         assert loop.tracker.state is State.STOPPED, "the driver is still frozen"
+
+
+def test_a_stop_at_the_start_names_the_network_as_commands_may_not_arrive() -> None:
+    """Over a lossy network states may come before the robot knows of the controller."""
+    tracker = ControlStep(LAW, fjr.Sine(1.0, 1.0), settings())
+    for k in range(100):
+        tracker.command(sample(FIRST + k * MS, 0.5, 0.5, 0.0), FIRST + k * MS)
+    assert tracker.reason.startswith("stopped: no motion of ")
+    assert tracker.reason.endswith("; its values have not changed for 0.023 s (driver, brake, drive or network?)")
 
 
 @pytest.mark.parametrize("bits", [9, 14, 40])
@@ -187,7 +196,7 @@ def test_a_tracking_error_of_a_joint_whose_values_do_not_change_says_so() -> Non
     tracker = ControlStep(LAW, fjr.Sine(0.3, 1.0), settings(tracking_error=0.1, **STILL))
     for k in range(600):
         healthy(tracker, FIRST + k * MS, 0.0, 0.0)
-    assert "; its values have not changed for 0.34 s (driver, brake or drive?)" in tracker.reason
+    assert "; its values have not changed for 0.34 s (driver, brake, drive or network?)" in tracker.reason
     loop = Loop(LAW, fjr.Sine(0.3, 1.0), settings(tracking_error=0.1), LAW.robot.state(0.15, 0.15, 0.0, 0.0))
     loop.run(0.1)
     assert "tracking error" in loop.tracker.reason

@@ -116,7 +116,7 @@ SIMPLE = {
 }
 """Sentence of the events without values."""
 AFTER_GAP = 5_000_000_000  # ns; a stop within this time after a gap of the states names the gap
-STILL = 100_000_000  # ns; a stop of a joint whose values have not changed for longer says so
+STILL = 100_000_000  # ns; a tracking error of a joint whose values have not changed for longer says so
 LIMITED = {
     "link position": ("q_l", "position"),
     "motor position": ("q_m", "position"),
@@ -222,9 +222,9 @@ class Journal:
             sentence = fault.sentence if fault is not None else cause
         else:
             sentence = self._step.law_failure if cause == "law" else _violation(found, settings)
-        changed = self._step.controller.changed
-        if cause in ("tracking error", NO_MOTION) and (still := found.stamp - changed[found.joint]) > STILL:
-            sentence += f"; its values have not changed for {still * 1e-9:.2g} s (driver, brake or drive?)"
+        still = found.stamp - self._step.controller.changed[max(found.joint, 0)]
+        if cause == NO_MOTION or (cause == "tracking error" and still > STILL):
+            sentence += f"; its values have not changed for {still * 1e-9:.2g} s (driver, brake, drive or network?)"
         return f"stopped: {sentence}{self._after_gap(found.stamp)}", values
 
     def _after_gap(self, stamp: int) -> str:
