@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import time
 from functools import partial
 from typing import Any
@@ -33,9 +34,10 @@ def infos(text: str, node: str) -> list[str]:
     return [line.partition(f"[{node}]: ")[2] for line in text.splitlines() if "[INFO]" in line and f"[{node}]" in line]
 
 
+DOMAIN = f"in ROS domain {os.environ.get('ROS_DOMAIN_ID', 0)}"
 LIFE = {
     "configure": ("inactive", "configured", "configured: law v_dpbc for joint1"),
-    "activate": ("active", "activated", "activated: waiting for states on /joint_states"),
+    "activate": ("active", "activated", f"activated: waiting for states on /joint_states {DOMAIN}"),
     "ask": ("active", "tracking", "tracking: the effort is the law's own"),
     "deactivate": ("inactive", "deactivated", "deactivated: no further efforts are sent"),
     "cleanup": ("unconfigured", "cleaned up", "cleaned up: all parameters may change"),
@@ -262,7 +264,7 @@ def test_plant_logs_waiting_and_start_of_motion(ros: Ros, manager: Manager, lock
     topic, first = ("/joint_commands", "answer") if lockstep else ("/effort_controller/commands", "command")
     time = "in lock-step" if lockstep else "with the clock"
     assert infos(said, "fjr_plant") == [
-        f"configured: joint1 at 1000 Hz {time}; waiting for commands on {topic}",
+        f"configured: joint1 at 1000 Hz {time}; waiting for commands on {topic} {DOMAIN}",
         f"moving: the first {first} has arrived",
     ]
     assert manager.states

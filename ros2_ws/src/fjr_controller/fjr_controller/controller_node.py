@@ -152,7 +152,8 @@ class ControllerNode(ManagedParameterNode):
     def _activate(self) -> str:
         assert self._control is not None
         self._control.start(self._since)
-        return f"waiting for states on {self.resolve_topic_name(names.JOINT_STATES)}"
+        topic = self.resolve_topic_name(names.JOINT_STATES)
+        return f"waiting for states on {topic} in ROS domain {self.context.get_domain_id()}"
 
     def _deactivate(self) -> str:
         if self._control is not None:

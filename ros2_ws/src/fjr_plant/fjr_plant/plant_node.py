@@ -132,7 +132,8 @@ class PlantNode(ParameterNode):
     def _configured(self) -> str:
         values = self.values
         topic = self.resolve_topic_name(names.JOINT_COMMANDS if values["lockstep"] else names.EFFORT_COMMANDS)
-        waits = " paused" if values["start_paused"] else f" waiting for commands on {topic}"
+        awaited = f"commands on {topic} in ROS domain {self.context.get_domain_id()}"
+        waits = " paused" if values["start_paused"] else f" waiting for {awaited}"
         time = "in lock-step" if values["lockstep"] else "with the clock"
         return f"configured: {', '.join(values['joints'])} at {values['publish_rate']:g} Hz {time};{waits}"
 
