@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ from fjr_core.motions.point_to_point import Hold, standing
 from fjr_core.motions.spline import Spline
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import State
-from fjr_core.runtime.safety_settings import Settings
+from fjr_core.runtime.safety_settings import REACTIONS, Settings
+from fjr_core.runtime.velocity_observer import VelocityObserver
 from tracking.tracked import (
     LAW,
     LIMITED,
@@ -58,6 +59,56 @@ def test_a_start_discards_pending_requests_and_stops_and_starts_the_reference_ag
         commands = [t.command(sample(stamp, 2.0, 2.0), stamp) for t in (tracker, birth)]
         np.testing.assert_array_equal(commands[0].jets, commands[1].jets)
         np.testing.assert_array_equal(commands[0].u, commands[1].u)
+
+
+def live(tracker: ControlStep, rng: np.random.Generator) -> int:
+    """Let a tracker have a random past of states, silences, jumps, requests and contacts; return its last stamp."""
+    now, arrival, joints = SECOND, 5 * SECOND, tracker.settings.n
+    for _ in range(rng.integers(60)):
+        event = rng.choice(["states"] * 4 + ["pause", "jump", "broken", "hold", "follow", "resume", "contact", "stop"])
+        if event == "states":
+            for q, dq in rng.normal([0.3, 0.0], [0.3, 1.0], (rng.integers(1, 40), joints, 2)).swapaxes(1, 2):
+                now, arrival = now + PERIOD, arrival + PERIOD
+                tracker.command(sample(now, q, q + 0.01, dq, dq), arrival)
+                tracker.check_wiring()
+        elif event == "pause":
+            pause = int(rng.choice([50, 300])) * MS
+            now, arrival = now + pause, arrival + pause
+            tracker.silence(arrival)
+        elif event == "jump":
+            now += int(rng.integers(6)) * SECOND
+        elif event == "broken":
+            tracker.command(sample(now + 1, np.full(joints, np.nan), 0.0), arrival)
+        elif event == "follow":
+            tracker.follow(Hold(np.full(joints, 0.1)), [None, now, now + SECOND][rng.integers(3)])
+        elif event == "contact":
+            tracker.controller.contact.acting = rng.integers(2)
+        elif event == "stop":
+            tracker.command(sample(now, np.full(joints, 9.0), 9.0), arrival)
+        else:
+            getattr(tracker, event)()
+    return now
+
+
+@pytest.mark.parametrize("observed", [False, True], ids=["measured", "observed"])
+@pytest.mark.parametrize("seed", range(10))
+def test_a_controller_that_starts_again_is_a_new_one_whatever_its_past(seed: int, observed: bool) -> None:
+    """Commands and events of its next states are those of a controller without a past."""
+    rng = np.random.default_rng(seed)
+    more = {"ramp_time": rng.choice([0.0, 0.05]), "start_join_time": rng.choice([0.0, 0.3]), "effort": 5.0}
+    given = settings(2, state_timeout=0.1, link_position_upper=3.0, on_contact=rng.choice(REACTIONS), **more)
+    observer = VelocityObserver(TWO.robot, 200.0) if observed else None
+    old, new = (ControlStep(TWO, TWO_SINES, given, observer=observer) for _ in range(2))
+    stamp = live(old, rng) + int(rng.choice([0, MS, 20 * SECOND]))
+    old.stop_effort()
+    old.start()
+    old.events.clear()
+    dq = rng.normal(size=2)
+    for k in range(60):
+        q = 0.05 + dq * k * 1e-3
+        commands = [t.command(sample(stamp + k * MS, q, q, dq, dq), 60 * SECOND + k * MS) for t in (old, new)]
+        np.testing.assert_equal(*map(asdict, commands))
+    assert [event.sentence for event in old.events] == [event.sentence for event in new.events]
 
 
 def test_a_start_with_another_reference_checks_it() -> None:

@@ -8,7 +8,7 @@
 static void stop(struct fjr_controller* c, int32_t cause, struct fjr_event event) {
   struct fjr_supervisor* s = &c->supervisor;
   s->stopped = cause;
-  s->transfer.active = 0;
+  s->resuming = s->transfer.active = 0;
   s->bound_start = FJR_NEVER;
   if (cause != FJR_STARTS_REFUSED) count(c, cause);
   report_event(c, event);
@@ -57,11 +57,19 @@ static void check_change(struct fjr_controller* c, int64_t stamp, int64_t elapse
   }
 }
 
+/* Return the event of a stop because of a contact. */
+static struct fjr_event contact_stop(const struct fjr_contact* t, int64_t stamp) {
+  const struct fjr_event event = {FJR_STOPS, FJR_STOPS_CONTACT, t->joint, 0, stamp, fabs(t->value), t->limit};
+  return event;
+}
+
 int fjr_is_outside(const struct fjr_controller* c, struct fjr_event* found) {
   double values[6 * N];
   copy(values, c->measured.values, 4 * N);
   complete_values(values, 0);
-  return violated(c, values, c->stamps.last, found);
+  if (violated(c, values, c->stamps.last, found)) return 1;
+  *found = contact_stop(&c->contact, c->stamps.last);
+  return c->contact.acting && c->settings.on_contact == FJR_STOP;
 }
 
 /* Refuse the start if |q_l - q_ld| exceeds its limit at a joint. */

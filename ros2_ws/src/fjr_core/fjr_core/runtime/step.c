@@ -110,7 +110,8 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   if (order == FJR_STALE) return 0;
   fjr_check_wiring(m, c);
   if (order == FJR_OLDER || order == FJR_DOUBTED) {
-    count(c, order == FJR_OLDER ? FJR_STATES_OLDER : FJR_JUMPS_DOUBTED);
+    const int32_t late = stamp == c->stamps.last ? FJR_STATES_REPEATED : FJR_STATES_OLDER;
+    count(c, order == FJR_OLDER ? late : FJR_JUMPS_DOUBTED);
     return 0;
   }
   const int32_t joints = frozen_joints(m, c, sample);
@@ -170,8 +171,9 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference) 
   forget_stamps(&c->stamps);
   init_supervisor(&c->supervisor, c->start_reference);
   fjr_wiring_start(&c->wiring);
-  c->policy.released = c->contact.heeded = 0;
-  c->journal.not_finite = c->journal.frozen = 0;
+  memset(&c->contact, 0, sizeof c->contact);
+  c->policy.released = 0;
+  c->journal.saturation = c->journal.not_finite = c->journal.frozen = 0;
 }
 
 void fjr_apply(struct fjr_controller* c, const struct fjr_settings* settings) {
@@ -206,7 +208,7 @@ void fjr_hold(struct fjr_controller* c) {
 void fjr_resume(struct fjr_controller* c) {
   if (!c->supervisor.stopped) return;
   fjr_wiring_start(&c->wiring);
-  c->policy.released = c->contact.heeded = 0;
+  c->policy.released = c->contact.heeded = c->supervisor.yielding = 0;
   c->supervisor.resuming = 1;
 }
 

@@ -405,7 +405,8 @@ void fjr_follow(struct fjr_controller* c, const struct fjr_reference* reference,
 void fjr_hold(struct fjr_controller* c);
 void fjr_resume(struct fjr_controller* c);
 
-/* Return 1 if the last state violates a limit, and write which as a stop would; after it a resume stops at once. */
+/* Return 1 if a resume would stop at once: the last state violates a limit, or is in a contact that stops. Write which as
+ * that stop would. */
 int fjr_is_outside(const struct fjr_controller* c, struct fjr_event* found);
 
 enum fjr_state fjr_state_of(const struct fjr_controller* c);

@@ -110,18 +110,19 @@ static int resume(struct fjr_controller* c, int64_t stamp) {
   return s->settling == 0;
 }
 
-/* Report a contact when it begins and react to it; when it has ended, recover from yielding. */
+/* Report a contact when it begins and react to it, also where a stop is about to end; when it has ended, recover from
+ * yielding. */
 static void heed_contact(struct fjr_controller* c, int64_t stamp) {
   struct fjr_contact* t = &c->contact;
   struct fjr_supervisor* s = &c->supervisor;
+  const int stays = s->stopped && !s->resuming;
   if (t->acting == t->heeded) return;
   t->heeded = t->acting;
   if (t->acting) {
     const struct fjr_event seen = {FJR_CONTACTS, t->joints, t->joint, 0, stamp, t->value, t->limit};
-    const struct fjr_event stopped = {FJR_STOPS, FJR_STOPS_CONTACT, t->joint, 0, stamp, fabs(t->value), t->limit};
     report_event(c, seen);
-    if (c->settings.on_contact == FJR_STOP && !s->stopped) stop(c, FJR_STOPS_CONTACT, stopped);
-    s->yielding = c->settings.on_contact == FJR_YIELD && !s->stopped;
+    if (c->settings.on_contact == FJR_STOP && !stays) stop(c, FJR_STOPS_CONTACT, contact_stop(t, stamp));
+    s->yielding = c->settings.on_contact == FJR_YIELD && !stays;
   } else if (s->yielding) {
     s->yielding = 0, s->returning = !s->stopped;
   }
