@@ -263,7 +263,7 @@ class NodeHost:
         if each.kind is Kind.STATE:
             self._publish(each.raw) if self._sequence.published else self._deliver(each.raw, each.time)
         elif each.kind is Kind.TICK:
-            self._loop.check_silence(each.time)
+            self._loop.change("check_silence", time=each.time)
         elif each.kind is Kind.CHANGE:
             assert self._node.set_parameters_atomically(_parameters(each)).successful
         elif each.kind is Kind.PARAMETERS:

@@ -69,7 +69,7 @@ def manager(ros: Ros, monkeypatch) -> Manager:
 
 
 def started(ros: Ros, manager: Manager, **parameters: Any) -> Client:
-    manager.started(0.0, **parameters)
+    manager.control = manager.started(0.0, **parameters)._control
     return Client(ros, manager)
 
 
@@ -143,6 +143,38 @@ def test_a_stop_ends_a_goal_whose_trajectory_does_not_continue_after_it(ros: Ros
     for t in (0.3, 0.5, 2.0):
         manager.ask(stamped(t, 0.7))
     np.testing.assert_allclose(manager.references[-1].position, [0.7], atol=1e-9)
+
+
+def test_a_goal_ends_where_the_time_of_the_states_jumps_back_and_its_trajectory_does_not_begin_again(
+    ros: Ros, manager: Manager
+) -> None:
+    client = started(ros, manager)
+    handle = client.send(1000)
+    manager.ask(stamped(0.5, 0.1))
+    manager.ask(stamped(-80.0, 0.1), answered=False)  # one jump is doubted
+    manager.ask(stamped(-79.999, 0.1))
+    assert client.result(handle) == (GoalStatus.STATUS_ABORTED, Code.PATH_TOLERANCE_VIOLATED)
+    for t in (-79.9, -75.0):
+        manager.ask(stamped(t, 0.1))
+    assert manager.references[-1].velocity[0] == pytest.approx(0.0, abs=1e-9)
+    assert abs(manager.references[-1].position[0] - GOAL) > 0.01
+
+
+def test_a_goal_is_not_judged_by_samples_that_were_answered_before_it(ros: Ros, manager: Manager) -> None:
+    client = started(ros, manager, limits__tracking_error=[0.5], recovery__join_time=0.1)
+    loop = manager.control._command_loop
+    loop._timers[0].cancel()  # so that the samples of the stop are still to be read
+    manager.ask(stamped(0.1, 0.6))
+    assert manager.trigger("resume")[0]
+    manager.ask(stamped(0.2, 0.6))
+    handle = client.send(1000)
+    loop._poll()
+    manager.ask(stamped(0.3, 0.6))
+    loop._poll()
+    assert manager.control._action.has_goal
+    manager.ask(stamped(1.5, GOAL))
+    loop._poll()
+    assert client.result(handle) == (GoalStatus.STATUS_SUCCEEDED, Code.SUCCESSFUL)
 
 
 SECOND = 10**9

@@ -216,7 +216,9 @@ class CommandLoop:
         if self._simulated:
             clock, period = self._node.get_clock(), state_timeout / SILENCE_CHECKS
             self._timers.append(
-                self._node.create_timer(period, lambda: self.check_silence(clock.now().nanoseconds), clock=clock)
+                self._node.create_timer(
+                    period, lambda: self.change("check_silence", time=clock.now().nanoseconds), clock=clock
+                )
             )
         self.active = True
 
@@ -265,15 +267,10 @@ class CommandLoop:
         finally:
             self._host.hold(False)
 
-    def check_silence(self, now: int) -> None:
-        """Send the stop effort once per silence; now [ns]: of the clock of the stamps."""
-        self.change("check_silence", time=now)
-
     def _recertify(self, gains: Any, beta: Any) -> None:
         """Let the loop use other gains for the certificate; records with those before are read first."""
         if self.active:
-            self.copy()
-            self._drain()
+            self.read()
         self.change("recertify", gains, beta)
 
     def _touched(self) -> list[str]:
@@ -284,11 +281,15 @@ class CommandLoop:
 
     # What Python reads.
 
+    def read(self) -> None:
+        """Report what has come so far, with the samples that were answered."""
+        self.copy()
+        self._drain()
+
     def _poll(self) -> None:
         """Read the queue; end the node if the loop has ended by itself."""
         runs = self._host.runs  # before its last records are read
-        self.copy()
-        self._drain()
+        self.read()
         if not runs and self.active:
             if isinstance(self._host.reason, BaseException):
                 raise self._host.reason

@@ -171,6 +171,6 @@ class Control:
         messages = follow_messages(self._values["joints"])
         if messages is None:
             return None
-        action = FollowAction(node, self._interface, allowed, messages)
+        action = FollowAction(node, self._interface, allowed, messages, self._command_loop.read)
         self._command_loop.add_listener(action.on_command, lambda: action.has_goal)
         return action

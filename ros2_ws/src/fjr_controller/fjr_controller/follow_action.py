@@ -2,13 +2,13 @@
 """The action ~/follow_joint_trajectory, by the rules of ros2_control's joint_trajectory_controller.
 
 A goal that cannot be tracked is rejected. An accepted goal ends when it is reached, a tolerance is violated, the
-controller stops, another motion replaces it, or it is cancelled. Unless another motion replaces it, the arm then
-holds its position; after a stop it does so from ~/resume on.
+controller stops, the stamps jump back, another motion replaces it, or it is cancelled. Unless another motion replaces
+it, the arm then holds its position; after a stop it does so from ~/resume on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -126,8 +126,10 @@ class FollowAction:
         interface: TrajectoryInterface,
         tolerances: Tolerances,
         messages: FollowMessages,
+        read: Callable[[], None],
     ) -> None:
-        self._node, self._interface = node, interface
+        """read: calls `on_command` for all samples that were answered so far."""
+        self._node, self._interface, self._read = node, interface, read
         self._tolerances, self._messages = tolerances, messages
         self._plan: TrajectoryPlan | None = None
         self._handle: Any = None
@@ -148,22 +150,24 @@ class FollowAction:
         """Check the active goal at a sample and its command; publish feedback every FEEDBACK_PERIOD."""
         if self._handle is None:
             return
-        if self._handle.is_cancel_requested:
-            self._end(Outcome(Code.SUCCESSFUL, "cancelled"))
-            return
-        if command.state is State.STOPPED:
-            self._interface.hold()  # ~/resume must not continue the trajectory
-            self._end(Outcome(Code.PATH_TOLERANCE_VIOLATED, "the controller has stopped"))
-            return
         desired, actual = command.jets[:2], np.stack([sample.q_l, command.velocity[: len(sample.q_l)]])
-        outcome = self._goal.outcome(sample.stamp - self._end_of_goal, actual - desired)
+        outcome = self._outcome(command, sample.stamp - self._end_of_goal, actual - desired)
         if sample.stamp - self._last_feedback >= FEEDBACK_PERIOD or outcome is not None:
             self._last_feedback = sample.stamp
             self._handle.publish_feedback(self._messages.feedback(sample.stamp, desired, actual))
         if outcome is not None:
             if outcome.code is not Code.SUCCESSFUL:
-                self._interface.hold()
+                self._interface.hold()  # neither ~/resume nor another time line must continue the trajectory
             self._end(outcome)
+
+    def _outcome(self, command: Command, late: float, errors: Array) -> Outcome | None:
+        if self._handle.is_cancel_requested:
+            return Outcome(Code.SUCCESSFUL, "cancelled")
+        if command.restarted:
+            return Outcome(Code.PATH_TOLERANCE_VIOLATED, "the time of the states jumped back")
+        if command.state is State.STOPPED:
+            return Outcome(Code.PATH_TOLERANCE_VIOLATED, "the controller has stopped")
+        return self._goal.outcome(late, errors)
 
     @property
     def has_goal(self) -> bool:
@@ -190,6 +194,7 @@ class FollowAction:
         assert self._plan is not None
         self._goal = self._tolerances.overridden(*self._messages.tolerances(handle.request))
         self._end_of_goal = self._plan.end
+        self._read()  # samples of before are not judged by this goal
         self._handle, self._last_feedback = handle, 0
 
     def _on_cancel(self, handle: Any) -> CancelResponse:
