@@ -6,10 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fjr_core.motions.point_to_point import Hold, standing
+from fjr_core.motions.spline import Spline
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import NEVER, State
 from fjr_core.runtime.library import constant
-from tracking.tracked import LAW, MS, SECOND, SINE, STILL, sample, settings, tracker_at
+from tracking.tracked import LAW, MS, SECOND, SINE, STILL, kinds, sample, settings, tracker_at
 
 
 def test_older_sample_has_no_command_and_a_repeated_one_the_same_command() -> None:
@@ -46,6 +48,21 @@ def test_another_time_line_starts_the_reference_again(before: int | None, stamp:
     np.testing.assert_array_equal(again.u, tracker_at(0).command(sample(0, 0.5, 0.5), 0).u)
     doubted = {} if before is None else {"jumps doubted": 1}
     assert tracker.counters == {"reference restarts": 1, **doubted}
+
+
+@pytest.mark.parametrize("moving", [True, False], ids=["on its way", "at its end"])
+def test_a_requested_motion_is_not_made_again_on_another_time_line(moving: bool) -> None:
+    tracker, now = ControlStep(LAW, Hold([0.0]), settings(start_join_time=0.5, **STILL)), 100 * SECOND
+    tracker.command(sample(now, 0.0, 0.0), now)
+    tracker.follow(Spline([1.0, 1.9], [[-0.5], [0.8]], start=standing([0.0])), now + MS)
+    for k in range(1, 1200 if moving else 2000):
+        q, dq = (float(tracker.jets_at(now + k * MS)[i, 0]) for i in range(2))
+        tracker.command(sample(now + k * MS, q, q, dq, dq), now + k * MS)
+    for k in range(2):
+        tracker.command(sample(k * MS, q, q), now + (k + 2000) * MS)
+    assert kinds(tracker)[-1] == "reference restarts"
+    for t in (0, 500, 1000, 3000):
+        np.testing.assert_allclose(tracker.jets_at(t * MS), standing([q]), atol=1e-9)
 
 
 @pytest.mark.parametrize("jump", [10 * SECOND, -10 * SECOND, -600 * MS])

@@ -62,9 +62,9 @@ class ControlStep:
     resume() or start(). The stop policy (on_stop) then gives the effort, zero after a wiring fault.
 
     Samples. One that is older than the last, or an unconfirmed jump, gets no command; one with a repeated stamp is
-    evaluated again. After a pause of the arrivals a sample that waited gets none either while newer ones follow. A
-    jump back starts the reference again, as start() does, but a stop stays latched. After a jump forward or a gap
-    tracking recovers without a step of u (see stamps.c and supervisor.c).
+    evaluated again. After a pause of the arrivals a sample that waited gets none either while newer ones follow. A jump
+    back starts the reference of the last start again, as start() does, or holds the position after a requested one; a
+    stop stays latched. After a jump forward or a gap tracking recovers without a step of u (stamps.c, supervisor.c).
     After an observer reset, velocity estimates are used only from the sample OBSERVED on; until then the last effort is
     held, or at a start the stop policy's effort is sent.
 

@@ -106,7 +106,7 @@ class Finding:
 
 SIMPLE = {
     "states frozen": "states frozen: the values of {joints} repeat at a non-zero velocity: the stop effort is sent",
-    "reference restarts": "the time of the states jumped back: the reference starts again",
+    "reference restarts": "the time of the states jumped back: the reference starts again, a requested motion ends",
     "forward jumps": "the time of the states jumped forward",
     "observer restarts": "the velocity observer was reset: a gap, or a state without an effort",
     "efforts not finite": "the effort is not finite for a state: the stop effort is sent instead",

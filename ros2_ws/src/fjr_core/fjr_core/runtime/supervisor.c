@@ -7,6 +7,7 @@
  * Recovery (after a gap of the samples, or a resume): transition of the reference from the measured state over
  * recovery.join_time or longer, and blend of the effort over BLEND of that time. The clock of the reference continues.
  * Contact: report it, stop, or yield (gravity compensation, damped motors) until it has ended, then recover.
+ * Jump back of the stamps: start again with the reference of the last start; hold the position after a requested one.
  * Stop: at a violated limit, or where the law failed, latched until a resume. Outside the limits nothing is started or
  * resumed. Until the velocities of an observer that was reset have settled, their limits and that of the tracking error
  * are not checked. The functions that return int return 0 if there is no transition to the reference.
@@ -37,13 +38,20 @@ static void begin(struct fjr_controller* c, int64_t stamp) {
   s->starting = 1;
 }
 
+/* Hold the position if the reference was requested on the time line that has ended: a trajectory is not driven twice. */
+static void end_requested(struct fjr_controller* c, int64_t stamp) {
+  struct fjr_active* a = &c->supervisor.reference;
+  const int next = a->pending && a->pending_start == FJR_NEVER; /* at this sample */
+  if (a->target != c->start_reference && !next) stand(a, c->measured.values, stamp);
+}
+
 static void handle_order(struct fjr_controller* c, enum fjr_order order, int64_t stamp, int settling) {
   struct fjr_supervisor* s = &c->supervisor;
   if (order == FJR_REPEATED) {
     count(c, FJR_STATES_REPEATED);
     return;
   }
-  if (order == FJR_BACK) report(c, FJR_REFERENCE_RESTARTS, stamp);
+  if (order == FJR_BACK) report(c, FJR_REFERENCE_RESTARTS, stamp), end_requested(c, stamp);
   if (order == FJR_FIRST || order == FJR_BACK) begin(c, stamp);
   if (order == FJR_FORWARD) report(c, FJR_FORWARD_JUMPS, stamp);
   if ((order == FJR_NEXT || order == FJR_GAP) && settling) report(c, FJR_OBSERVER_RESTARTS, stamp);
