@@ -126,6 +126,7 @@ class RunSignals:
         kept = [STATES, *filter(None, [self._commands]), *filter(bag.holds, [REFERENCE])]
         self._numbers, self.has_reference = {topic: Columns() for topic in kept}, REFERENCE in kept
         self._ahead = self._read(bag, scenario.joints)
+        self.events = [(event, sent - self._ahead) for event, sent in self.events]
         self._references = _of_stamps(*self._choose(bag, duration), self._times(REFERENCE))[0]
 
     def states(self, rows: slice) -> tuple[Array, Array, Array]:
