@@ -16,7 +16,7 @@ from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.process import process_parameters, process_settings
 from fjr_core.runtime.events import Event
 from fjr_msgs_py import names
-from fjr_msgs_py.node import participant, process
+from fjr_msgs_py.node import loading, participant, process
 from fjr_msgs_py.node.parameters import ManagedParameterNode
 from fjr_msgs_py.node.reports import EventWriter
 
@@ -152,8 +152,7 @@ class ControllerNode(ManagedParameterNode):
     def _activate(self) -> str:
         assert self._control is not None
         self._control.start(self._since)
-        topic = self.resolve_topic_name(names.JOINT_STATES)
-        return f"waiting for states on {topic} in ROS domain {self.context.get_domain_id()}"
+        return f"waiting for states on {self.resolve_topic_name(names.JOINT_STATES)} in ROS domain {loading.domain()}"
 
     def _deactivate(self) -> str:
         if self._control is not None:

@@ -18,7 +18,7 @@ from fjr_core.config.robot import description, robot_name
 from fjr_core.config.robot import robot as build_robot
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.joint_states import MessageError, read_torques
-from fjr_msgs_py.node import participant, process
+from fjr_msgs_py.node import loading, participant, process
 from fjr_msgs_py.node.conflicting_publishers import Namesake, publisher_elsewhere
 from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health, publish_description, refusal
@@ -132,8 +132,8 @@ class PlantNode(ParameterNode):
     def _configured(self) -> str:
         values = self.values
         topic = self.resolve_topic_name(names.JOINT_COMMANDS if values["lockstep"] else names.EFFORT_COMMANDS)
-        awaited = f"commands on {topic} in ROS domain {self.context.get_domain_id()}"
-        waits = " paused" if values["start_paused"] else f" waiting for {awaited}"
+        awaited = f" waiting for commands on {topic} in ROS domain {loading.domain()}"
+        waits = " paused" if values["start_paused"] else awaited
         time = "in lock-step" if values["lockstep"] else "with the clock"
         return f"configured: {', '.join(values['joints'])} at {values['publish_rate']:g} Hz {time};{waits}"
 
