@@ -126,7 +126,9 @@ def stopped(law: fjr.TrackingLaw, state: Any, **given: object) -> tuple[ControlS
 
 def test_gravity_hold_compensates_gravity_and_damps_the_motors() -> None:
     q, dq = np.array([0.4, 0.9]), np.array([0.3, -0.5])
-    tracker, moving = stopped(TWO, sample(0, q, q, 0.0, dq), on_stop="gravity_hold")
+    tracker, _ = stopped(TWO, sample(0, q, q, 0.0, dq), on_stop="gravity_hold")
+    for k in (1, 2):
+        moving = tracker.command(sample(k * MS, q, q + dq * k * 1e-3, 0.0, dq), k * MS).u
     standing = tracker.stop_effort()
     np.testing.assert_allclose(standing, np.linalg.solve(TWO.robot.B_m, TWO.robot.grad_P_l(q)), rtol=1e-12)
     damping = TWO.robot.B_m @ (standing - moving)

@@ -260,10 +260,10 @@ def test_tracking_continues_at_once_without_a_join_time() -> None:
 @pytest.mark.parametrize("policy", ["zero", "gravity_hold"])
 def test_a_stop_stays_under_its_policy_and_resumes_with_the_last_effort(policy: str) -> None:
     tracker = ControlStep(LAW, Hold([0.0]), settings(link_velocity=0.3, on_stop=policy))
-    tracker.command(sample(MS, 0.0, 0.0, 0.3), MS)
+    tracker.command(sample(MS, 0.0, -1e-4, 0.3, 0.1), MS)
     assert tracker.state is State.TRACKING
     for _ in range(2):
-        tracker.command(sample(2 * MS, 0.0, 0.0, 0.4), 2 * MS)
+        tracker.command(sample(2 * MS, 0.0, 0.0, 0.4, 0.1), 2 * MS)
         assert tracker.state is State.STOPPED
     assert tracker.counters == {"states repeated": 1, "stops": 1, "stops: link velocity": 1}
     for k in range(3, 6):

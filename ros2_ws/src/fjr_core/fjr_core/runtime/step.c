@@ -124,7 +124,7 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   heed_contact(c, stamp);
   watch_wiring(m, c, order, stamp);
   if (!attempt(m, c, order, stamp, command)) return not_finite(m, c, stamp, command);
-  remember_position(c);
+  remember_state(c, order == FJR_NEXT ? (double)(stamp - c->stamps.last) * 1e-9 : 0);
   blend_and_limit(m, c, command->u, command->V, stamp);
   accept_law(c);
   const int64_t elapsed = accept_stamp(&c->stamps, stamp, arrival);
@@ -172,6 +172,7 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference) 
   init_supervisor(&c->supervisor, c->start_reference);
   fjr_wiring_start(&c->wiring);
   memset(&c->contact, 0, sizeof c->contact);
+  fill(c->policy.agreed, 0, N), fill(c->policy.size, 0, N);
   c->policy.released = 0;
   c->journal.saturation = c->journal.not_finite = c->journal.frozen = 0;
 }

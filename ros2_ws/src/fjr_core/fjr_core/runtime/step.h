@@ -250,8 +250,9 @@ struct fjr_effort_limits {
   int64_t stamp;
 };
 
+/* q_l: of the last valid sample. The motors at it, and how their velocities agree with the slopes, see stop_policy.c. */
 struct fjr_stop_policy {
-  double q_l[FJR_N]; /* of the last valid sample */
+  double q_l[FJR_N], q_m[FJR_N], dq_m[FJR_N], agreed[FJR_N], size[FJR_N];
   int32_t known, released;
 };
 
