@@ -319,6 +319,20 @@ def test_a_command_acts_from_the_first_inner_step_at_or_after_its_arrival(
     np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
 
 
+def test_a_command_that_acts_at_once_replaces_an_earlier_one_that_has_not_acted(ros: Ros, peer: Peer) -> None:
+    player = Player(ros, peer, wait_for_command=False)
+    player.play(50 * SECOND)
+    player.run(50 * SECOND, 2)
+    x = state_of(peer.states[-1])
+    for count, (after, effort) in enumerate([(INNER // 2, 0.2), (INNER, 0.3)], start=1):
+        player.play(50 * SECOND + 2 * PERIOD + after)
+        peer.effort_publisher.publish(command(effort))
+        ros.until(lambda count=count: player.node._health.count["commands received"] == count)
+    player.run(50 * SECOND + 3 * PERIOD, 2)
+    expected = integrate(integrate(x, 0.0, 1), 0.3, 11)
+    np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
+
+
 def test_a_reset_forgets_a_command_that_has_not_acted(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer, wait_for_command=False, restart_silence=0.0)
     player.play(50 * SECOND)

@@ -68,6 +68,7 @@ static void take_effort(struct fjr_plant* p, int64_t time, const double* effort)
     fjr_channel_push(p->commands, time, effort);
   } else if (time - p->robot->time < p->robot->inner_step) {
     apply(p, effort);
+    p->acts_at = FJR_NO_TIME;
   } else {
     memcpy(p->coming, effort, (size_t)p->robot->n * sizeof(double));
     p->acts_at = time;
