@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,18 +42,18 @@ class HeldEffort:
     parts: int
     mobility: Array
     accuracy: Array
+    _behind: dict[bytes, Array] = field(default_factory=dict, init=False)
 
-    @cached_property
-    def behind(self) -> Callable[[Any, Any, bytes], Array]:
-        """Efforts behind lags (n,) [samples], and their derivatives by the squares, (2, k, n); the latest are kept."""
-
-        def behind(ffi: Any, lib: Any, lag: bytes) -> Array:
+    def behind(self, ffi: Any, lib: Any, lag: bytes) -> Array:
+        """Return efforts behind lags (n,) [samples] and their derivatives by the squares, (2, k, n); keep them."""
+        found = self._behind.get(lag)
+        if found is None:
             found = np.empty((2, *self.u.shape))
             u, lags, out = (ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(self.u), lag, found))
             lib.fjr_behind(u, lags, len(self.u), out)
-            return found
-
-        return lru_cache(maxsize=1)(behind)
+            self._behind.clear()
+            self._behind[lag] = found
+        return found
 
     def steps(self, p: Mapping[str, Array]) -> dict[str, Array] | None:
         """Return what shooting.h limits steps by, (2n,) each; None: friction is too steep. p: parameters by name.
