@@ -85,6 +85,20 @@ def test_a_fault_in_the_thread_ends_the_node_with_the_stop_effort_and_one_senten
     assert str(node.ended) == "the native command loop failed: the control step failed; the stop effort was sent"
 
 
+def test_a_first_effort_that_only_one_topic_takes_is_followed_by_the_stop_effort(ros: Ros, peer: Peer) -> None:
+    node = ros.controller(on_stop="zero")
+    loop = loop_of(node)
+    ffi, lib, publish = loop.program.ffi, loop.program.lib, loop._struct.publish
+
+    def half(host: Any, output: int, message: Any) -> int:
+        return int(lib.FJR_FAILED if output == lib.FJR_COMMANDS else publish(host, output, message))
+
+    loop._struct.publish = refused = ffi.callback("int(void*, int32_t, const struct fjr_message*)", half)  # noqa: F841
+    peer.state_publisher.publish(stamped(0.0, [0.5, 0.4]))
+    ros.until(lambda: node.ended is not None, "the end")
+    ros.until(lambda: peer.efforts and peer.efforts[-1].data[0] == 0, "the stop effort")
+
+
 def test_without_headers_of_ros_the_same_c_runs_in_rclpy(ros: Ros, peer: Peer, monkeypatch, capfd) -> None:
     def options() -> None:
         raise NativeError("rcl.h is missing")

@@ -147,10 +147,10 @@ static int keep(struct fjr_controller_loop* l, int64_t arrival, int64_t sent, in
 
 static int answer(struct fjr_controller_loop* l, int64_t arrival) {
   const int64_t stamp = l->sample.stamp;
+  l->sends = 1, l->last_stamp = stamp; /* also if only one of both topics takes it */
   int outcome = send(l, stamp, l->result.u);
   const int64_t sent = fjr_steady_now();
   if (outcome != FJR_GO_ON) return outcome;
-  l->sends = 1, l->last_stamp = stamp;
   __atomic_fetch_add(&l->answered, 1, __ATOMIC_RELAXED);
   const int due = l->step.is_due(&l->auxiliary, stamp);
   if (due) outcome = publish_auxiliary(l);
