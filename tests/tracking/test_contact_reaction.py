@@ -10,7 +10,7 @@ import pytest
 
 from fjr_core.runtime.control_step import Command, ControlStep
 from fjr_core.runtime.events import State
-from tracking.tracked import LAW, MS, sample, tracker_at
+from tracking.tracked import LAW, MS, STILL, sample, settings, tracker_at
 
 AT = 0.5  # rad
 WEIGHT = LAW.robot.grad_P_l([AT])
@@ -94,3 +94,22 @@ def test_a_contact_after_a_start_is_heeded() -> None:
     at(tracker, 10_000)
     contact(tracker, True)
     assert at(tracker, 10_001).state is State.STOPPED
+
+
+@pytest.mark.parametrize("before", ["report", "yield"])
+@pytest.mark.parametrize("after", ["report", "stop", "yield"])
+def test_a_reaction_that_is_chosen_in_contact_counts_at_once(before: str, after: str) -> None:
+    tracker = tracker_at(0, MS, on_contact=before)
+    contact(tracker, True)
+    at(tracker, 2)
+    tracker.apply(settings(**STILL, on_contact=after))
+    command = at(tracker, 3)
+    assert (command.state is State.STOPPED) == (after == "stop")
+    assert bool(tracker.controller.supervisor.yielding) == (after == "yield")
+    if before == "yield" and after == "report":
+        np.testing.assert_allclose(command.u, WEIGHT, rtol=1e-9)  # a transition begins, without a step
+        assert tracker.counters["recoveries"] == 1
+    contact(tracker, False)
+    for k in range(4, 2000):
+        command = at(tracker, k)
+    assert command.state is (State.STOPPED if after == "stop" else State.TRACKING)

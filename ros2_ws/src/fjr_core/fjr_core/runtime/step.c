@@ -178,6 +178,7 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference) 
 }
 
 void fjr_apply(struct fjr_controller* c, const struct fjr_settings* settings) {
+  if (c->contact.acting && settings->on_contact != c->settings.on_contact) c->contact.heeded = 0; /* react anew */
   c->settings = *settings;
   c->stamps.timeout = settings->state_timeout;
   saturate(settings, c->limits.sent);

@@ -123,17 +123,16 @@ static int resume(struct fjr_controller* c, int64_t stamp) {
 static void heed_contact(struct fjr_controller* c, int64_t stamp) {
   struct fjr_contact* t = &c->contact;
   struct fjr_supervisor* s = &c->supervisor;
-  const int stays = s->stopped && !s->resuming;
+  const int stays = s->stopped && !s->resuming, yielded = s->yielding;
   if (t->acting == t->heeded) return;
   t->heeded = t->acting;
   if (t->acting) {
     const struct fjr_event seen = {FJR_CONTACTS, t->joints, t->joint, 0, stamp, t->value, t->limit};
     report_event(c, seen);
     if (c->settings.on_contact == FJR_STOP && !stays) stop(c, FJR_STOPS_CONTACT, contact_stop(t, stamp));
-    s->yielding = c->settings.on_contact == FJR_YIELD && !stays;
-  } else if (s->yielding) {
-    s->yielding = 0, s->returning = !s->stopped;
   }
+  s->yielding = t->acting && c->settings.on_contact == FJR_YIELD && !stays;
+  if (yielded && !s->yielding) s->returning = !s->stopped;
 }
 
 /* Carry out requests since the last sample; start or recover once the velocities have settled. */
