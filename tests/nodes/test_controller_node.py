@@ -72,7 +72,8 @@ def test_gravity_hold_uses_the_motor_damping_of_the_law(ros: Ros, peer: Peer) ->
         law__type="pd_gravity", on_stop="gravity_hold", limits__tracking_error=[0.1], recovery__join_time=0.0
     )
     law = control_law(node.values, fjr.single_link())
-    command = peer.ask(stamped(0.0, 0.5, [0.0, 0.3]))
+    for t in (0.0, 0.001, 0.002):  # the motor moves as its velocity says
+        command = peer.ask(stamped(t, [0.5, 0.5 + 0.3 * t], [0.0, 0.3]))
     wanted = 0.8 * np.sin(0.5) - law.hold_damping[0, 0] * 0.3
     assert command.effort[0] == pytest.approx(wanted)
 

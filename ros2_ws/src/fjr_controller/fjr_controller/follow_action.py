@@ -163,10 +163,9 @@ class FollowAction:
     def _outcome(self, command: Command, late: float, errors: Array) -> Outcome | None:
         if self._handle.is_cancel_requested:
             return Outcome(Code.SUCCESSFUL, "cancelled")
-        if command.restarted:
-            return Outcome(Code.PATH_TOLERANCE_VIOLATED, "the time of the states jumped back")
-        if command.state is State.STOPPED:
-            return Outcome(Code.PATH_TOLERANCE_VIOLATED, "the controller has stopped")
+        if command.restarted or command.state is State.STOPPED:
+            why = "the time of the states jumped back" if command.restarted else "the controller has stopped"
+            return Outcome(Code.PATH_TOLERANCE_VIOLATED, why)
         return self._goal.outcome(late, errors)
 
     @property
