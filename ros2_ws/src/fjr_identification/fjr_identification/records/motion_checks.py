@@ -98,7 +98,7 @@ def skews(motion: RigidMotion) -> Iterator[Finding]:
             lines["torque"] = motion.line(-np.gradient(tau, motion.dt), motion.torque[:, j], tau, v)
         for name, line in lines.items():
             if abs(line.slope) - 5 * line.deviation > LARGEST_SKEW:
-                when = "later" if line.slope > 0 else "earlier"
+                when = "earlier" if line.slope > 0 else "later"
                 seen = f"{name} of {joint} is read {1e3 * abs(line.slope):.3g} ms {when} than the other side"
                 yield contradiction(SKEW, joint, seen, f"at most {1e3 * LARGEST_SKEW:g} ms")
 
