@@ -61,6 +61,19 @@ def test_steps_are_short_on_both_sides_wherever_the_start_puts_the_friction() ->
     assert np.all(longest[0] < 4e-3)
 
 
+def test_efforts_in_other_units_with_the_input_gain_that_undoes_them_change_neither_priors_nor_steps() -> None:
+    record, load, found = setup_of().records[0], {"motor_load_friction": np.array([0.3])}, []
+    for gain in (1.0, -50.0):
+        robot = replace(robot_like(JOINT), B_m=np.array([[gain]]))
+        options = IdentifyOptions(load_friction=True)
+        setup = Estimation([replace(record, u=record.u / gain)], robot, Prior.of(robot), options)
+        values = setup.prior.values | load
+        steps = setup.problem(values).segments[0].effort.steps(values)
+        assert steps is not None
+        found.append(np.concatenate([setup.coordinates.width, *steps.values()]))
+    np.testing.assert_allclose(*found)
+
+
 def test_the_fit_and_the_share_of_each_side_are_near_the_truth_and_blocks_add_up_to_its_information() -> None:
     setup = setup_of()
     z = filtered_fit(setup, setup.coordinates.mean)

@@ -11,6 +11,7 @@ import pytest
 import fjr_core as fjr
 from fjr_core.errors import TrajectoryError
 from fjr_core.runtime.safety_settings import Settings
+from fjr_identification.cli.excite import _designed
 from fjr_identification.excitation import optimal_design
 from fjr_identification.excitation.elastic_motion import (
     PARAMETERS,
@@ -22,6 +23,7 @@ from fjr_identification.excitation.elastic_motion import (
     motion_envelope,
 )
 from fjr_identification.excitation.optimal_design import ExcitationDesign, design
+from fjr_msgs_py.scenarios import library
 
 NOISE = JointNoise(np.full(2, 1e-5), np.full(2, 2e-5), np.full(2, 1e-2))
 SINE = fjr.Sine([0.5, 0.4], 2.0, phase=-np.pi / 2)
@@ -122,6 +124,16 @@ def test_the_information_is_that_of_the_outputs_of_the_joint():
 def test_the_noise_of_an_encoder_is_that_of_its_steps():
     noise = encoder_noise(np.array([0.0, 12.0, 0.0]), np.array([0.0, 0.0, 1e-4]), 1e-6)
     assert noise == pytest.approx([1e-6, 2 * np.pi / 4096 / np.sqrt(12), 1e-4])
+
+
+def test_an_input_gain_with_limits_in_its_efforts_changes_no_deviation():
+    found = []
+    for gain in (1.0, 0.1):
+        changes = {"robot.input_gain": [gain] * 2, "limits.effort": [60.0 / gain] * 2}
+        path = library.find("two_link")
+        found.append(_designed(library.as_run(path, changes)[1], 3.0, 1e-5, 0))
+    assert found[1].before == pytest.approx(found[0].before, rel=1e-6)
+    assert found[1].deviations == pytest.approx(found[0].deviations, rel=1e-2)
 
 
 def test_a_short_record_and_a_joint_without_limits_whose_reference_rests_are_refused():

@@ -80,7 +80,7 @@ def _designed(scenario: Scenario, duration: float, least: float, seed: int) -> E
     sensors = sensor_errors(scenario.plant_values, robot.n)
     link = encoder_noise(np.asarray(sensors.bits_l), np.asarray(sensors.position_l), least)
     motor = encoder_noise(np.asarray(sensors.bits_m), np.asarray(sensors.position_m), least)
-    noise = JointNoise(link, motor, EFFORT_NOISE * limits.upper[-1] / SHARE)
+    noise = JointNoise(link, motor, EFFORT_NOISE / SHARE * np.abs(robot.B_m) @ limits.upper[-1])
     with phase(f"{scenario.name}: designing {duration:g} s of motion for {plural(robot.n, 'joint')}"):
         return design(robot, limits, noise, reference, duration, scenario.sample_period, seed)
 

@@ -2,10 +2,11 @@
 """The arm whose parameters are identified: accelerations of links and motors, with their derivatives.
 
     M_l(q_l) dv_l + C(q_l, v_l) v_l + grad P_l(q_l) = tau - D_l v_l - F_l(v_l) - T(q_l),   tau = K (q_m - q_l - offset)
-    B dv_m = B_m u - tau - D_m v_m - F_m(v_m)
+    B dv_m = u - tau - D_m v_m - F_m(v_m)
 
-Springs that harden have tau = K zeta + k zeta^3 (cubic_stiffness). F_l and F_m are Coulomb friction, with static
-friction and a share of |tau| if these are free. T is an optional torque of the position of one joint.
+u is the torque of the motors. Springs that harden have tau = K zeta + k zeta^3 (cubic_stiffness). F_l and F_m are
+Coulomb friction, with static friction and a share of |tau| if these are free. T is an optional torque of the position
+of one joint.
 
 The inertia of the links may be corrected. The pseudo-inertia P of a link stays positive definite, hence physically
 consistent, with log-Cholesky parameters theta = (alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3) about that of the robot
@@ -109,7 +110,7 @@ class ElasticArm:
         F_l, F_m = (self._friction(p, side, v, tau) for side, v in (("link", v_l), ("motor", v_m)))
         T = sum(getattr(p, name) * term for name, term in zip(POSITION_TORQUE, position_terms(q_l), strict=True))
         on_links = tau - p.link_damping * v_l - F_l - T
-        on_motors = sparse(self.robot.B_m) @ u - tau - p.motor_damping * v_m - F_m
+        on_motors = u - tau - p.motor_damping * v_m - F_m
         M_l, bias = self._links(p, q_l, v_l, ca.SX.zeros(n))
         M_l += self._added
         dv_l = solve(M_l, on_links - bias)

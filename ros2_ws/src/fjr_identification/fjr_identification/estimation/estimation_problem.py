@@ -52,7 +52,7 @@ class Estimation:
     def widths(self) -> dict[str, Array]:
         """Return the prior's standard deviations by name; defaults follow from efforts and from K and B."""
         n, values = self.robot.n, self.prior.values
-        measured = np.max([np.sqrt(np.mean(r.u**2, axis=0)) for r in self.records], axis=0)
+        measured = np.max([np.sqrt(np.mean((r.u @ self.robot.B_m.T) ** 2, axis=0)) for r in self.records], axis=0)
         effort = np.maximum(measured, LEAST_DEFLECTION * values["joint_stiffness"])
         damping = 0.1 * np.sqrt(values["joint_stiffness"] * values["motor_inertia"])
         widths: dict[str, Array] = {
@@ -115,7 +115,7 @@ class Estimation:
         segments, filtered_states = [], []
         for record, motion in zip(self.records, self.motions, strict=True):
             steps = int(np.clip(np.ceil(record.dt * fastest), 1, MOST_PARTS))
-            effort = HeldEffort(record.u, record.dt, steps, mobility, accuracy)
+            effort = HeldEffort(record.u @ self.robot.B_m.T, record.dt, steps, mobility, accuracy)
             pieces = cut(record, effort, self._length(slowest))
             segments += pieces
             filtered_states += [motion.state(piece.first - piece.pad) for piece in pieces]

@@ -31,7 +31,7 @@ SLOW = 3.0  # smoothing velocities; friction is steep below
 
 @dataclass(frozen=True, eq=False)
 class HeldEffort:
-    """Efforts u (k, n) [N m] of a record, each held for the sample period dt [s], and the steps of integration.
+    """Torques u (k, n) [N m] of the motors, each held for the sample period dt [s], and the steps of integration.
 
     parts: steps of a sample period. They are halved where a velocity may cross zero, as far as the turn of friction
     needs and a velocity may be wrong: mobility (2n,) [1 / (kg m^2)] of links and motors, accuracy (2n,) [rad/s].
@@ -99,6 +99,7 @@ class Shooting:
 
     arm: ElasticArm
     delays: tuple[int, ...]
+    _local: threading.local = field(default_factory=threading.local, init=False)
 
     @property
     def columns(self) -> int:
@@ -159,10 +160,6 @@ class Shooting:
         if not hasattr(self._local, "memory"):
             self._local.memory = _Memory(self)
         return self._local.memory
-
-    @cached_property
-    def _local(self) -> threading.local:
-        return threading.local()
 
 
 class _Memory:

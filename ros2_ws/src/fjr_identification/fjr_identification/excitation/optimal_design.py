@@ -132,7 +132,7 @@ class ExcitationDesign:
         """Information of the whole record, from the instants of one period."""
         K, samples = np.diag(self.robot.K), round(self.duration / self.sample_period)
         if self.robot.curve:
-            most = np.minimum(self.limits.upper[3], self.limits.upper[7])  # torque of the springs, effort
+            most = np.minimum(self.limits.upper[3], np.abs(self.robot.B_m) @ self.limits.upper[7])  # spring, motor
             K = most / self.robot.deflection(most)
         return InformationModel(K, np.diag(self.robot.M_m), self._M_l, self.noise, self.series.period, samples)
 
