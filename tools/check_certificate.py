@@ -236,7 +236,7 @@ def checked(content: dict[str, Any], seconds: float = SECONDS) -> int:
         require(inert or holds(M, joints, box), f"M_l is not proven positive definite on the box {box}")
         require(holds(S, joints, box), f"D_l + K_ld - beta M_l is not proven positive definite on the box {box}")
         boxes += 1
-    require(next(entries, None) is None, "there are boxes beside those that cover the joint range")
+    require(not [*entries], "there are boxes beside those that cover the joint range")
     return boxes
 
 

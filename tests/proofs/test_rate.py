@@ -185,6 +185,7 @@ CHANGES: dict[str, tuple[list[Any], Callable[[Any], Any]]] = {
     "a box less": (["boxes"], lambda boxes: [box for i, box in enumerate(boxes) if i != boxes.index(0)]),
     "one box": (["boxes"], lambda boxes: [0]),
     "a box more": (["boxes"], lambda boxes: [*boxes, 0]),
+    "nothing and a box more": (["boxes"], lambda boxes: [*boxes, None, 0]),
     "a cut outside": ([], with_a_cut_outside),
     "a heavier body": (["bodies", -1, "mass"], times(1.2)),
     "a larger inertia": (["bodies", -1, "inertia"], lambda inertia: (np.array(inertia) + np.eye(3)).tolist()),
