@@ -17,6 +17,7 @@ from fjr_core.stability.linear_controller import Sensing
 from fjr_design.cli.preflight import start_outside
 from fjr_design.stability.sampled_loop import check
 from fjr_msgs_py.scenarios import library
+from fjr_proofs import kept_rate
 from fjr_proofs.kept_rate import cached_rate
 from system.executables import fjr_here, fjr_json, scenario
 from two_link_urdf import two_link_urdf
@@ -198,13 +199,19 @@ def test_a_rate_is_proven_with_a_certificate_and_kept_until_a_gain_or_its_file_c
     assert json.loads(kept.read_text()) == json.loads(written)
 
 
-def test_a_proof_that_ends_early_gives_what_is_proven_beside_the_sampled_rate(tmp_path: Path) -> None:
+def test_a_proof_that_ends_early_gives_what_is_proven_beside_the_sampled_rate_and_replaces_no_better_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arm, certificate = three_joints(tmp_path, wrist_mass=0.3), str(tmp_path / "rate.json")
     fjr_here("gains", arm, "--beta", "1", "--write")
     rows = figures(fjr_here("check", arm, "--certificate", certificate, "--seconds", "0.001"))
     assert rows["beta"].endswith("proven over the joint range so far")
     sampled = load_scenario(arm).law.rate().beta
     assert f"minimum over sampled configurations: {sampled:.4g} 1/s" in rows["rate at q_l"]
+    monkeypatch.setattr(kept_rate, "GOAL", 2.0)  # no proof is complete
+    better, again = (kept_rate.certified_rate(library.load(arm), seconds) for seconds in (60.0, 0.0))
+    assert better.beta > float(rows["beta"].split()[0])
+    assert again == better == cached_rate(library.load(arm))
 
 
 def test_the_tracking_error_is_bounded_for_stated_errors() -> None:
