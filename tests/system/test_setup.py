@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import platform
 import shutil
@@ -14,7 +15,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from envsetup import cli, commands, environment, machine
+from envsetup import cli, commands, environment, machine, workspace
 from envsetup.commands import SetupError
 from envsetup.environment import Environment
 from envsetup.machine import has_wheels, uses_sourced_ros
@@ -168,6 +169,51 @@ def test_interrupted_installation_is_repeated_and_a_complete_one_kept(
     for level in ("run", "run", "test", "run", "bench", "test"):
         environment.ensure(level)
     assert done == ["create", "run", "create", "run", "test"]
+
+
+def test_a_folder_that_cannot_be_written_ends_the_set_up_in_one_sentence(
+    checkout: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "ROOT", checkout)
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    (checkout / ".setup").write_text("")
+    assert cli.main(["build"]) == 1
+    said = capsys.readouterr().err
+    assert f"'{checkout}/.setup'" in said
+    assert said.count("\n") == 1
+
+
+def test_equal_files_become_one_and_stay_two_where_there_are_no_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [tmp_path / "one", tmp_path / "two"]
+    for file in files:
+        file.write_bytes(bytes(1 << 16))
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")  # as by FAT and exFAT
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "link", refuse)
+        environment.share_equal_files(tmp_path)
+    assert sorted(tmp_path.iterdir()) == files
+    assert not files[0].samefile(files[1])
+    environment.share_equal_files(tmp_path)
+    assert sorted(tmp_path.iterdir()) == files
+    assert files[0].samefile(files[1])
+    assert files[1].read_bytes() == bytes(1 << 16)
+
+
+def test_the_defaults_of_a_user_of_colcon_do_not_change_the_build(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / ".colcon").mkdir()
+    (tmp_path / ".colcon" / "defaults.yaml").write_text("list: {packages-select: [another]}\n")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    packages = ["--names-only", "--base-paths", str(ROOT / "ros2_ws" / "src" / "fjr_plant")]
+    command = [sys.executable, "-c", workspace.COLCON, "--log-base", os.devnull, "list", *packages]
+    env = commands.clean_environment(sourced_ros=False)
+    assert subprocess.check_output(command, cwd=tmp_path, env=env, text=True) == "fjr_plant\n"
 
 
 TOOL = machine.Extra("a tool", ("one", "two"), "all is slow", [["test", "-e", "there"]])

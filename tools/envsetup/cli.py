@@ -40,6 +40,9 @@ def main(arguments: Sequence[str]) -> int:
     except SetupError as error:
         print(f"{error.details}\n{PREFIX} {error}" if error.details else f"{PREFIX} {error}", file=sys.stderr)
         return 1
+    except OSError as error:
+        print(f"{PREFIX} {error}; expected a writable checkout and free space", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print(f"\n{PREFIX} interrupted; run the same command again to continue.", file=sys.stderr)
         return 130

@@ -88,5 +88,6 @@ def clean_environment(sourced_ros: bool) -> dict[str, str]:
         misleading += ["PYTHONPATH", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH"]
     for name in misleading:
         env.pop(name, None)
+    env["COLCON_DEFAULTS_FILE"] = os.devnull  # else the user's defaults, such as merge-install, change the build
     env.update(PYTHONNOUSERSITE="1", PIP_USER="0", PIP_NO_INPUT="1", PIP_DISABLE_PIP_VERSION_CHECK="1")
     return env

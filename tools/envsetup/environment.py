@@ -12,6 +12,7 @@ import stat
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -216,5 +217,8 @@ def share_equal_files(folder: Path, least: int = 1 << 16) -> None:
             continue
         other = first.setdefault((status.st_mode, hashlib.sha256(file.read_bytes()).digest()), file)
         if not other.samefile(file):
-            file.unlink()
-            os.link(other, file)
+            scratch = file.with_name(f"{file.name}.link")
+            scratch.unlink(missing_ok=True)
+            with suppress(OSError):  # a file system without links, or a file with as many as it has: they stay two
+                os.link(other, scratch)
+                scratch.replace(file)
