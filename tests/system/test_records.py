@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -31,7 +32,9 @@ from fjr_identification.page import fit_plots
 from fjr_identification.records.missing_sensors import lacking
 from fjr_identification.records.reading import Reading, TimeWindow, read_record, record_of_table
 from fjr_identification.records.record_map import EFFORT, FILL_IN, LINK, MOTOR, TORQUE, TableMap, read_map, written_map
-from system.bags import rewritten
+from fjr_identification.records.rigid_motion import KINDS
+from nodes.harness import nanoseconds
+from system.bags import Change, rewritten
 from system.executables import fjr_here
 from system.shared_runs import shared_run
 
@@ -264,6 +267,33 @@ def test_table_of_a_run_is_the_same_record_as_its_bag(tmp_path_factory: pytest.T
     wanted, _ = read_record(run, scenario.joints, scenario.robot, Reading(None, 0.0, 2.0))
     for name in ("q_l", "q_m", "u"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+
+
+def test_a_part_of_a_bag_counts_from_the_first_command_however_late_it_is(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"{read_record.__module__}.MESSAGES", 100)
+    run, begin = shared_run(tmp_path_factory, "two_link"), 2.2  # s
+    scenario = load_scenario(run / "scenario.yaml")
+    whole, _ = read_record(run, scenario.joints, scenario.robot, Reading())
+    states = rewritten(run / "bag", tmp_path / "late", change=without_commands_before(begin))
+    late, _ = read_record(states, scenario.joints, scenario.robot, Reading(None, 0.1, 0.3, KINDS))
+    assert len(late.u) * late.dt == pytest.approx(0.3, abs=2 * late.dt)
+    first = round((begin + 0.1) / whole.dt)
+    assert late.q_m == pytest.approx(whole.q_m[first : first + len(late.u)])
+
+
+def without_commands_before(begin: float) -> Change:
+    """Return a change of a bag that drops the commands of the first seconds."""
+    first: list[int] = []
+
+    def changed(topic: str, message: Any) -> Any:
+        if topic == "/joint_states":
+            first.append(nanoseconds(message))
+        stamped = topic == "/joint_commands" and bool(first) and nanoseconds(message) >= first[0] + 1e9 * begin
+        return message if stamped or not topic.endswith("commands") else None
+
+    return changed
 
 
 def test_bag_of_another_robot_is_refused(

@@ -252,9 +252,10 @@ def _messages(bag: Bag, columns: Mapping[str, Sequence[str]], window: TimeWindow
         count += rows.size
         if count > LARGEST:
             raise RecordError(f"{STATES} holds more than {LARGEST:,} numbers; expected fewer: choose a --duration")
-        first = int(stamps[0]) if first < 0 and len(stamps) else first
-        if len(stamps) and (stamps[-1] - first) * 1e-9 > window.start + window.duration + 1.0:  # 1 s for late commands
-            break
+        if first < 0 and all(any(len(block[0]) for block in of) for of in blocks.values()):
+            first = int(stamps[-1]) if len(stamps) else first  # of the first states with commands
+        if first >= 0 and len(stamps) and (stamps[-1] - first) * 1e-9 > window.start + window.duration + 1.0:
+            break  # 1 s for late commands
     return {name: tuple(map(np.concatenate, zip(*of, strict=True))) for name, of in blocks.items()}  # type: ignore[misc]
 
 
