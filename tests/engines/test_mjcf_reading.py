@@ -83,6 +83,40 @@ def test_motors_and_limits_are_read_and_what_is_not_known_is_a_guess(tmp_path: P
     assert limits.effort == pytest.approx([100.0, 300.0, np.inf, np.inf])
 
 
+LIMITED: dict[str, tuple[str, list[float]]] = {
+    "the tighter of force and control": (
+        '<motor joint="one" gear="-50" ctrlrange="-2 2" forcerange="-9 9"/>'
+        '<motor joint="two" gear="2" ctrlrange="-2 2" forcerange="-1 1"/>',
+        [100.0, 2.0],
+    ),
+    "of a motor that only pulls": ('<motor joint="one" gear="50" ctrlrange="0 2"/>', [100.0, np.inf]),
+}
+
+
+@pytest.mark.parametrize(("motors", "expected"), LIMITED.values(), ids=LIMITED)
+def test_the_limit_of_an_effort_is_the_largest_that_mujoco_lets_act(
+    motors: str, expected: list[float], tmp_path: Path
+) -> None:
+    text = body(TWO, f"<actuator>{motors}</actuator>")
+    limits = arm_from(text, tmp_path).robot.limits
+    assert limits is not None
+    assert limits.effort == pytest.approx(expected)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    for k in range(model.nu):
+        efforts = []
+        for data.ctrl[k] in (-1e3, 1e3):
+            mujoco.mj_forward(model, data)
+            efforts.append(abs(float(data.qfrc_actuator[k])))
+        assert max(efforts) == pytest.approx(expected[k])
+
+
+def test_damping_and_friction_of_a_joint_are_said_not_to_be_read(tmp_path: Path) -> None:
+    for text, count in ((TWO, 0), (TWO.replace("axis", 'damping="3" axis'), 1)):
+        notes = arm_from(body(text), tmp_path).notes
+        assert sum("<dynamics> is not read: enter damping as motor_damping" in note for note in notes) == count
+
+
 def body(inside: str, more: str = "") -> str:
     """Return an MJCF of two links; inside: of the second one."""
     first = '<joint name="one" axis="0 1 0"/><geom type="sphere" size="0.1" pos="0 0 0.2"/>'

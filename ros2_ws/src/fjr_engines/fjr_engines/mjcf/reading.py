@@ -25,8 +25,8 @@ from .writing import SPRING, pose_of, refusals
 
 AT_JOINTS = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
 AT_TENDONS = int(mujoco.mjtTrn.mjTRN_TENDON)
-HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-JOINTS = {HINGE: "revolute", SLIDE: "prismatic"}
+SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+JOINTS = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", SLIDE: "prismatic"}
 Element = ElementTree.Element
 
 
@@ -93,15 +93,15 @@ def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
 
 
 def effort_limit(model: mujoco.MjModel, joint: str) -> float:
-    """Return the largest effort [N m] of the actuators of a joint in both directions; 0: no limit."""
+    """Return the largest effort [N m] of the actuators of a joint in both directions, or in one; 0: no limit."""
     given = model.joint(joint)
     found = [-1.0, 1.0] * model.jnt_actfrcrange[given.id] if model.jnt_actfrclimited[given.id] else []
     for actuator in _actuators(model, joint):
         if actuator.forcelimited[0]:
             found = [*found, *np.abs(actuator.gear[0] * actuator.forcerange)]
-        elif actuator.ctrllimited[0] and actuator.biastype[0] == int(mujoco.mjtBias.mjBIAS_NONE):
+        if actuator.ctrllimited[0] and actuator.biastype[0] == int(mujoco.mjtBias.mjBIAS_NONE):
             found = [*found, *np.abs(actuator.gear[0] * actuator.gainprm[0] * actuator.ctrlrange)]
-    return float(min(found, default=0.0))
+    return float(min(filter(None, found), default=0.0))
 
 
 def _motor_inertia(model: mujoco.MjModel, joint: str) -> float:
@@ -142,6 +142,7 @@ def urdf(model: mujoco.MjModel, drives: Mapping[str, str], name: str, meshes: Se
             lower, upper = joint.range if joint.limited[0] else (0.0, 0.0)
             effort = effort_limit(model, drives[joint.name])
             _add(element, "limit", lower=_text(lower), upper=_text(upper), velocity="0.0", effort=_text(effort))
+            _add(element, "dynamics", damping=_text(joint.damping[0]), friction=_text(joint.frictionloss[0]))
             before = frame.copy()
         if body.id and not joints:
             _add_joint(robot, f"{body.name}_fixed", "fixed", (link, body.name), np.linalg.inv(before) @ frame)
