@@ -7,6 +7,7 @@ import errno
 import os
 import platform
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -20,6 +21,7 @@ from envsetup.commands import SetupError
 from envsetup.environment import Environment
 from envsetup.machine import has_wheels, uses_sourced_ros
 from envsetup.workspace import Workspace
+from system.executables import wait_for
 from time_limits import HANG
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -214,6 +216,31 @@ def test_the_defaults_of_a_user_of_colcon_do_not_change_the_build(
     command = [sys.executable, "-c", workspace.COLCON, "--log-base", os.devnull, "list", *packages]
     env = commands.clean_environment(sourced_ros=False)
     assert subprocess.check_output(command, cwd=tmp_path, env=env, text=True) == "fjr_plant\n"
+
+
+SLEEPING = """
+import os, sys
+from pathlib import Path
+from envsetup import cli, commands
+sleep = ["sh", "-c", "echo $$ > part && mv part begun && exec sleep 1000"]
+cli.set_up = lambda *_: commands.run("sleep", sleep, Path("log"), dict(os.environ), "sleep failed")
+sys.exit(cli.main(["build"]))
+"""
+
+
+@pytest.mark.parametrize("by", [signal.SIGTERM, signal.SIGINT])
+def test_a_set_up_that_is_ended_leaves_no_command_behind(by: signal.Signals, tmp_path: Path) -> None:
+    env = {name: value for name, value in os.environ.items() if name != "ROS_DISTRO"} | {"PYTHONPATH": str(TOOLS)}
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    setup = subprocess.Popen([sys.executable, "-c", SLEEPING], cwd=tmp_path, env=env, **streams)
+    assert setup.stdout.readline() == "[setup] sleep ...\n"
+    wait_for((tmp_path / "begun").exists, "the command to begin")
+    setup.send_signal(by)
+    _, said = setup.communicate(timeout=HANG)
+    assert setup.returncode == 130
+    assert said.strip() == "[setup] interrupted; run the same command again to continue."
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "begun").read_text()), 0)
 
 
 TOOL = machine.Extra("a tool", ("one", "two"), "all is slow", [["test", "-e", "there"]])

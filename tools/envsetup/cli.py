@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import fcntl
 import os
+import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="setup_env.py", description=__doc__, formatter_class=raw)
     parser.add_argument("target", choices=LEVELS, metavar="|".join(LEVELS))
     target = parser.parse_args(arguments).target
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         sourced_ros = machine.uses_sourced_ros()
         if sourced_ros:

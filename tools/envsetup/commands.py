@@ -54,12 +54,18 @@ def run(
         except OSError as error:
             raise SetupError(f"{failure}: {error}") from error
         with process:
-            say(f"{title} ...", passing=True)
-            while process.poll() is None:
-                try:
-                    process.wait(BEAT)
-                except subprocess.TimeoutExpired:
-                    say(f"{title} ... {time.monotonic() - begun:.0f} s  {''.join(last_lines(log, 1))}", passing=True)
+            try:
+                say(f"{title} ...", passing=True)
+                while process.poll() is None:
+                    try:
+                        process.wait(BEAT)
+                    except subprocess.TimeoutExpired:
+                        latest = "".join(last_lines(log, 1))
+                        say(f"{title} ... {time.monotonic() - begun:.0f} s  {latest}", passing=True)
+            except KeyboardInterrupt:
+                process.terminate()  # the next set-up must not find it at work
+                process.wait()
+                raise
     seconds = f"{time.monotonic() - begun:.1f} s"
     if process.returncode != 0:
         say(f"{title} ... failed after {seconds}")
