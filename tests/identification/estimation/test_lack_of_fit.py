@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine
+from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine, usual_record
 from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, Estimate, Identification
 from fjr_identification.estimation.estimation_problem import Estimation
-from fjr_identification.estimation.filtered_fit import filtered_fit
+from fjr_identification.estimation.filtered_fit import filtered_estimates, filtered_fit
 from fjr_identification.estimation.lack_of_fit import Rows, Seen, deflections, seen, slipping_elements, withheld
 from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
@@ -69,6 +70,25 @@ def test_an_encoder_of_a_joint_that_turns_far_is_eccentric_only_if_it_is(seed: i
         setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
         said.append(seen(setup, filtered_fit(setup, setup.coordinates.mean))["joint1"].wrong)
     assert said == ["", "q_m - q_l depends on the position: an encoder is eccentric"]
+
+
+def test_what_is_wrong_with_a_prismatic_joint_is_said_in_its_units() -> None:
+    joint, dt, said = ElasticJoint(cubic=31.0 / 0.02**2), 4e-3, []
+    u, link, motor = usual_record(joint=joint)
+    columns = u, link, motor, np.full_like(u, np.nan)
+    record = MotionRecord("a record", ("joint1",), dt, *(each[:, None] for each in columns))
+    for slides in (False, True):
+        robot = replace(robot_like(joint), prismatic=(slides,))
+        setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
+        found = seen(setup, filtered_fit(setup, setup.coordinates.mean))
+        said.append(found["joint1"].wrong)
+        still = replace(setup, records=[replace(record, u=0 * record.u, q_l=0 * record.q_l, q_m=0 * record.q_m)])
+        said.append(filtered_estimates(still, still.coordinates.mean).estimates[1].reason)
+    spring, rest, of_slide, rest_of_slide = said
+    assert re.fullmatch(r"the spring is not linear: .* N m/rad at .* mrad, .* N m/rad at .* mrad", spring)
+    assert of_slide == spring.replace("N m/rad", "N/m").replace("mrad", "mm")
+    assert rest == "the joint stands still (it moves 0 rad); move it"
+    assert rest_of_slide == rest.replace("rad", "m")
 
 
 def test_a_slipping_element_loses_the_work_of_a_parallelogram_in_each_cycle() -> None:

@@ -36,7 +36,7 @@ def write_page(
     hold_outs: Sequence[HoldOut],
     notes: Sequence[str],
     seconds: float,
-) -> Path:
+) -> None:
     """Write the page as one self-contained file. seconds: length of all records. Raises AssetError."""
     joints, fits = identification.joints, identification.fits
     places = [f"record-{i}" for i in range(len(fits))]
@@ -62,7 +62,6 @@ def write_page(
         sections=[(place, fit.record, DEFLECTION not in fit.measured) for place, fit in pairs],
         json=html.as_json(identification.as_dict()),
     )
-    return path
 
 
 def counted(identification: Identification, name: str = "") -> dict[str, int]:

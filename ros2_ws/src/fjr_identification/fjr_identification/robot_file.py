@@ -120,8 +120,7 @@ class IdentifiedRobot:
     @property
     def effort_delay(self) -> float:
         """The largest identified delay of the efforts [s], 0 if no interval is above 0."""
-        estimates = self._of("effort_delay")
-        return max((estimate.value for estimate in estimates if estimate.low > 0), default=0.0)
+        return max((estimate.value for estimate in self._of("effort_delay") if estimate.low > 0), default=0.0)
 
     def values(self, folder: Path) -> dict[str, object]:
         """Return joints and robot.* with the identified values, for a file in this folder.

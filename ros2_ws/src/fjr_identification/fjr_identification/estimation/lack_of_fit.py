@@ -34,7 +34,7 @@ from .estimation_problem import Estimation
 from .filtered_fit import BLOCK, FEWEST_BLOCKS, FilteredEquations, Side
 from .motion_record import decimated, inner, shifted
 from .parameters import HARDENING, LOAD, RATIO
-from .verdicts import CONFIDENCE, Estimates
+from .verdicts import CONFIDENCE, Estimates, in_units
 
 SHARE = 0.3  # of the squares that the equation leaves, which a term explains
 APART = 0.1  # between the shares of a dead zone and a cubic term of which the larger one is the cause
@@ -53,7 +53,6 @@ LIGHT, MOST = 0.05, 4.0  # least error of the links that is named, and largest f
 CURVED = 0.1  # least relative change of a stiffness that is named
 OUTLYING = 4.0  # median errors, beyond which they are cut where a kinematic error is sought: friction at reversals
 FAINT, SURER = 0.1, 8.0  # as SHARE and SURE, of a kinematic error, whose band has more noise
-
 
 Parameter = tuple[str, int]  # name and index
 
@@ -126,7 +125,7 @@ def seen(setup: Estimation, z: Array) -> dict[str, Seen]:
         wrong = wrong or _of_position(equations, sides, j)
         c, deviation, blocks = _compliance(setup, sides, j)
         reach = float(student.ppf(CONFIDENCE, blocks - 1)) * deviation
-        joints[joint] = Seen(wrong, K / (c + reach) if abs(c) < reach else 0.0)
+        joints[joint] = Seen(in_units(setup.robot, j, wrong), K / (c + reach) if abs(c) < reach else 0.0)
     return joints
 
 

@@ -237,13 +237,11 @@ class ParameterCoordinates:
     def of_values(self, values: Mapping[str, Array]) -> Array:
         """Return z (p,) of parameters by name."""
         inverse = {LOG: np.log, SQUARE: np.square}
-        free = [(KINDS[name].coordinate, float(values[name][i])) for name, i in self.free]
-        return np.array([float(inverse[kind](value)) if kind in inverse else value for kind, value in free])
+        return np.array([inverse.get(KINDS[name].coordinate, float)(values[name][i]) for name, i in self.free])
 
     def scale(self, z: Array) -> Array:
         """Return d parameter / d z (p,) at z; 1 for squares, by which derivatives are taken."""
-        logarithmic = self._are(LOG)
-        return np.where(logarithmic, np.exp(np.where(logarithmic, z, 0.0)), 1.0)
+        return np.exp(np.where(self._are(LOG), z, 0.0))
 
     @property
     def nonnegative(self) -> Array:
