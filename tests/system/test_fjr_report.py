@@ -10,6 +10,7 @@ import shutil
 import sqlite3
 from collections.abc import Callable, Collection
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -193,6 +194,22 @@ def test_velocities_and_external_torques_are_estimated_if_not_recorded(
     assert np.isnan(estimated[:5]).all()
     for found, largest in ((torque, 1e-3), (estimated[5:], 0.1)):
         assert np.abs(found[-100:]).max() < largest  # none acts in a free motion
+
+
+def test_a_missing_command_is_held_where_velocities_are_estimated(run: Path, tmp_path: Path, model: Scenario) -> None:
+    """So does the robot; an estimate without effort for one sample would be slower by that much of the motor."""
+    removed, answers = without(lambda _: True, "velocity"), count()
+
+    def one_less(topic: str, message: Any) -> Any:
+        return None if topic == ANSWERS and next(answers) == 500 else removed(topic, message)
+
+    _, complete = read(rewritten(run / "bag", tmp_path / "complete", change=removed), model)
+    _, data = read(rewritten(run / "bag", tmp_path / "copy", change=one_less), model)
+    (k,) = np.flatnonzero(np.isnan(data.u).any(axis=1))
+    per_effort = 1e-3 / np.diag(model.robot.M_m)  # rad/s in a sample, by the effort that differs
+    allowed = 2 * np.max(np.abs(complete.u[k] - complete.u[k - 1]) * per_effort)
+    assert np.abs(complete.u[k] * per_effort).max() > 10 * allowed
+    assert np.abs(data.velocity - complete.velocity).max() <= allowed
 
 
 def test_another_reference_than_the_scenarios_is_differentiated(run: Path, another: Scenario, whole: RunData) -> None:

@@ -113,10 +113,10 @@ class Recording:
             jets, t = reference.jets(t, *signals.reference(around))[within], t[within]
             position, velocity, torque = signals.states(rows)
             u, measured = signals.efforts(rows), position
-            if estimate is not None:
-                position, velocity, settled = estimate.of(signals.stamp[rows], position, u)
-                measured = np.where(settled[:, None], measured, np.nan)
             held = held_efforts(u, before)
+            if estimate is not None:
+                position, velocity, settled = estimate.of(signals.stamp[rows], position, held)
+                measured = np.where(settled[:, None], measured, np.nan)
             before, latency = held[-1], (signals.answered[rows] - signals.sent[rows]) * 1e-9
             self.columns.add(
                 t=t,
@@ -202,7 +202,7 @@ class EstimatedStates:
     def of(self, stamp: Times, position: Array, u: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return positions and velocities (k, 2n) at stamps (k,) [ns], and whether they have settled (k,).
 
-        position (k, 2n): measured. u (k, n) [N m] acts from each state on.
+        position (k, 2n): measured. u (k, n) [N m] acts from each state on, NaN: none before the first.
         """
         n, observer = self._n, self._observer
         states, settled = np.zeros((len(u), 4 * n)), np.ones(len(u), dtype=bool)
