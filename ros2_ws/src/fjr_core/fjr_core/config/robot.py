@@ -102,7 +102,7 @@ _ARGUMENTS = {  # argument of a model -> parameter
         _DEFINITE,
     ),
     "gear_ratio": _argument(
-        "gear_ratio", "1", "Motor turns per link turn; 1: motor_inertia is reflected already", constraint="positive"
+        "gear_ratio", "1", "Motor turns per link turn; 1: motor_inertia is reflected already", constraint="not 0"
     ),
     "link_damping": _argument("link_damping", "N m s/rad", "Link damping D_l", MATRIX, _SEMIDEFINITE),
     "motor_damping": _argument("motor_damping", "N m s/rad", "Motor damping D_m", MATRIX, _SEMIDEFINITE),
