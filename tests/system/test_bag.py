@@ -180,6 +180,20 @@ def test_latched_later_and_weaker_publishers_are_recorded_with_their_qos(node: N
     assert [message.data for message in bag.topic("/shared").decoded] == ["weak", "strong"]
 
 
+def test_a_publisher_that_returns_with_a_weaker_qos_is_recorded(node: Node, tmp_path: Path) -> None:
+    """As of a node that is started again while the recorder runs; there is one publisher before and after."""
+    first = node.create_publisher(String, "/again", 10)
+    with Recorder(tmp_path / "bag") as recorder:
+        matched(recorder, first)
+        weaker = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        node.destroy_publisher(first)
+        second = node.create_publisher(String, "/again", weaker)
+        wait_for(lambda: second.get_subscription_count() > 0, "a subscriber")
+        wait_for(lambda: recorder.matched("/again") == 1, "a publisher")
+        second.publish(String(data="again"))
+        wait_for(lambda: b"again" in last(recorder, "/again"), "a message")
+
+
 def test_a_topic_faster_than_the_disk_keeps_no_other_waiting(
     node: Node, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

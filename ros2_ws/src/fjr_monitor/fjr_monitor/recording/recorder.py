@@ -279,7 +279,7 @@ class Recorder:
                 continue
             if topic not in self._tracks:
                 self._subscribe(topic, types[0], publishers)
-            elif len(publishers) > len(self._tracks[topic].publishers):
+            elif any(each not in self._tracks[topic].publishers for each in publishers):
                 self._follow(self._tracks[topic], publishers)
 
     def _subscribe(self, topic: str, type_name: str, publishers: list[TopicEndpointInfo]) -> None:
@@ -295,7 +295,7 @@ class Recorder:
         self._tracks[topic] = Track(subscription, channel, publishers)
 
     def _follow(self, track: Track, publishers: list[TopicEndpointInfo]) -> None:
-        """Adapt the subscription to additional publishers if their QoS requires it."""
+        """Adapt the subscription to other publishers if their QoS requires it."""
         track.publishers = publishers
         wanted, old = adapted_qos(publishers), track.subscription
         present = old.qos_profile
