@@ -72,6 +72,13 @@ def test_nominal_draws_agree_with_simulate(arm: Arm, gains: fjr.Gains, delay: fl
     assert result.stable[0]
 
 
+@pytest.mark.parametrize("settle_after", [0.0, PERIOD, 0.02])
+def test_effort_noise_is_that_of_all_changes_from_the_settling_on(settle_after: float) -> None:
+    result, recorded = paper_loop(duration=0.03, settle_after=settle_after).recorded(Draws(1, velocity_noise=0.1))
+    changes = np.diff(recorded.u[0, :, 0])[max(round(settle_after / PERIOD), 1) - 1 :]
+    assert result.effort_noise[0, 0] == pytest.approx(np.sqrt(np.mean(changes**2) / 2), rel=1e-12)
+
+
 def test_final_error_settling_time_and_power_match_their_definitions() -> None:
     loop = paper_loop(duration=1.6, band=0.02)
     result, recorded = loop.recorded(Draws(1, link_torque=0.1))

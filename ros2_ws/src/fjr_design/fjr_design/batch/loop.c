@@ -135,7 +135,8 @@ static void finish(const struct fjr_batch* b, struct run* r) {
   struct sums* s = &r->sums;
   const int stable = r->sample > b->samples;
   const double count = r->sample > 0 ? (double)r->sample : 1;
-  const double counted = r->sample > b->first ? (double)(r->sample - b->first) : 1;
+  const int64_t begin = b->first > 0 ? b->first : 1; /* of the first change of the effort */
+  const double changes = r->sample > begin ? (double)(r->sample - begin) : 1;
   *s->stable = stable;
   *s->lost_at = stable ? INFINITY : b->period * (double)r->sample;
   for (int i = 0; i < N; ++i) {
@@ -143,7 +144,7 @@ static void finish(const struct fjr_batch* b, struct run* r) {
     s->peak[i] = stable ? s->peak[i] : INFINITY;
     s->final[i] = stable ? s->final[i] / (double)(b->samples + 1 - b->last_second) : INFINITY;
     s->effort_rms[i] = sqrt(s->effort_rms[i] / count);
-    s->effort_noise[i] = sqrt(s->effort_noise[i] / counted);
+    s->effort_noise[i] = sqrt(s->effort_noise[i] / changes);
   }
   *s->settling = stable && *s->settling <= (double)b->samples ? b->period * *s->settling : INFINITY;
   *s->power /= count;
