@@ -164,8 +164,7 @@ def tune(
 def _shown(tuned: Tuned, folder: Path) -> Result:
     scenario = folder / f"{folder.name}.yaml"
     values = tuned.study.coordinates.values(tuned.point)
-    write_text(scenario, tuned.study.sweep.scenario_text)
-    write_text(scenario, library.as_run(scenario, values)[0])
+    write_text(scenario, library.text_with(scenario.name, tuned.study.sweep.scenario_text, values))
     picture = write_picture(folder / "overview.png", (12.0, 4.2), partial(_draw, tuned))
     plain = _values(tuned, values)
     write_text(folder / "result.json", json_text(plain, indent=1) + "\n")
