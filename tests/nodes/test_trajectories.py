@@ -403,6 +403,18 @@ def test_resume_is_refused_outside_the_limits_and_each_stop_is_logged(ros: Ros, 
     ros.until_said(capfd, "stopped: link velocity")
 
 
+def test_a_long_trajectory_that_waits_while_the_controller_is_cleaned_up_raises_nothing(
+    ros: Ros, manager: Manager
+) -> None:
+    """An exception would end the process: it is read in a task of the events executor."""
+    planner = manager.started(0.0)._control._interface.planner
+    assert manager.change("deactivate")
+    assert manager.change("cleanup")
+    found: list[Any] = []
+    planner.read(bytes(LONG + 1), found.append)
+    assert found
+
+
 JUMPS = {
     "position jump of joint1": [stamped(0.002, 4.0)],
     "the time of the states jumped forward": [stamped(10.0, 0.0), stamped(10.001, 0.0)],

@@ -138,7 +138,7 @@ class Planner:
         does not give to a real-time thread without a pause for all on its core.
         """
         executor = self._node.executor
-        if self._worker is None or executor is None or len(data) <= LONG:
+        if self._worker is None or executor is None or len(data) <= LONG or not self._is_active():
             on_done(_read(data))
             return
         self.drop()
