@@ -73,8 +73,7 @@ def sampled_contraction(
     """Prove contraction of the law on its own robot with a sample period [s] and delays from .. to [samples].
 
     One number is a constant delay. Returns None if no proof is found. Raises StateError for delays outside 0 .. 1
-    sample, TrajectoryError for a reference that is no sum of sines, ParameterError for sines without a common period
-    within 60 s.
+    sample, TrajectoryError for a reference without sines, ParameterError for sines without a period within 60 s.
     """
     positive("sample_period", sample_period, StateError)
     least, most = vector("delays", delays, 2, StateError).tolist()
