@@ -170,6 +170,24 @@ def test_a_robot_whose_clock_stood_still_is_answered_after_a_moment() -> None:
     assert "recoveries" not in tracker.counters
 
 
+def test_states_that_queue_are_named_once_until_the_queue_is_empty() -> None:
+    tracker, last = running(state_timeout=0.1), SECOND + 200 * MS
+    for k in range(1, 1501):  # the queue grows by 0.2 ms a state, and is emptied after the thousandth
+        stamp, age = last + k * MS, LATENCY + (k if k <= 1000 else 0) * MS // 5
+        assert tracker.command(sample(stamp, 0.5, 0.5), stamp + age) is not None
+    assert kinds(tracker).count("states late") == 1
+    assert 490 <= tracker.counters["states late"] <= 500
+
+
+def test_clocks_that_drift_apart_are_no_queue() -> None:
+    """500 ppm, as NTP slews at most, for ten minutes: 0.3 s."""
+    tracker, period = running(state_timeout=0.1, period=50 * MS), 50 * MS
+    for k in range(1, 12_001):
+        stamp = SECOND + 200 * MS + k * period
+        assert tracker.command(sample(stamp, 0.5, 0.5), stamp + LATENCY + k * period // 2000) is not None
+    assert "states late" not in tracker.counters
+
+
 @pytest.mark.parametrize(("simulated", "pause"), [(False, PAUSE - 1), (True, SECOND)])
 def test_slow_samples_of_a_slow_clock_and_all_in_simulated_time_are_answered(simulated: bool, pause: int) -> None:
     """Without a pause before them nothing waits, however much slower than the arrivals the stamps are."""

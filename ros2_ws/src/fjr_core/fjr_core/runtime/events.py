@@ -18,9 +18,22 @@ NEVER = -(2**63)
 STOPS, STARTS_REFUSED = "stops", "starts refused"
 """Kinds of the events that end tracking."""
 CONTACTS, POSITION_JUMP, NO_MOTION = "contacts", "position jump", "no motion"
+LIMITED = {
+    "link position": ("q_l", "position"),
+    "motor position": ("q_m", "position"),
+    "link velocity": ("dq_l", "velocity"),
+    "motor velocity": ("dq_m", "velocity"),
+    "deflection": ("q_m - q_l", "position"),
+    "tracking error": ("q_l - q_ld", "position"),
+    POSITION_JUMP: ("change of q_l", "position"),
+    "contact": ("external torque", "effort"),
+    NO_MOTION: ("change of q_m that its effort must have made", "position"),
+}
+"""Limited quantities, in the order of their stops: symbol, and field of Units."""
 KINDS = (
     "states older than the last",
     "states stale",
+    "states late",
     "states repeated",
     "states frozen",
     "jumps doubted",
@@ -31,17 +44,7 @@ KINDS = (
     "recoveries",
     STARTS_REFUSED,
     STOPS,
-    "stops: wiring",
-    "stops: link position",
-    "stops: motor position",
-    "stops: link velocity",
-    "stops: motor velocity",
-    "stops: deflection",
-    "stops: tracking error",
-    f"stops: {POSITION_JUMP}",
-    "stops: contact",
-    f"stops: {NO_MOTION}",
-    "stops: law",
+    *(f"stops: {cause}" for cause in ("wiring", *LIMITED, "law")),
     "resumes",
     "efforts not finite",
     "efforts saturated",
@@ -54,7 +57,10 @@ KINDS = (
 )
 """Names of the counters, in the order of enum fjr_kind in step.h."""
 ERRORS = (STARTS_REFUSED, STOPS, "states frozen", "efforts not finite")
-WARNINGS = ("reference restarts", "silences", "forward jumps", "observer restarts", "efforts saturated", CONTACTS)
+WARNINGS = (
+    *("states late", "reference restarts", "silences", "forward jumps", "observer restarts", "efforts saturated"),
+    CONTACTS,
+)
 """Kinds of events by level; all others inform."""
 
 
@@ -106,6 +112,7 @@ class Finding:
 
 SIMPLE = {
     "states frozen": "states frozen: the values of {joints} repeat at a non-zero velocity: the stop effort is sent",
+    "states late": "states come later than at first by more than state_timeout: a queue, or a slow simulation",
     "reference restarts": "the time of the states jumped back: the reference starts again, a requested motion ends",
     "forward jumps": "the time of the states jumped forward",
     "observer restarts": "the velocity observer was reset: a gap, or a state without an effort",
@@ -117,18 +124,6 @@ SIMPLE = {
 """Sentence of the events without values."""
 AFTER_GAP = 5_000_000_000  # ns; a stop within this time after a gap of the states names the gap
 STILL = 100_000_000  # ns; a tracking error of a joint whose values have not changed for longer says so
-LIMITED = {
-    "link position": ("q_l", "position"),
-    "motor position": ("q_m", "position"),
-    "link velocity": ("dq_l", "velocity"),
-    "motor velocity": ("dq_m", "velocity"),
-    "deflection": ("q_m - q_l", "position"),
-    "tracking error": ("q_l - q_ld", "position"),
-    POSITION_JUMP: ("change of q_l", "position"),
-    "contact": ("external torque", "effort"),
-    NO_MOTION: ("change of q_m that its effort must have made", "position"),
-}
-"""Limited quantities: symbol, and field of Units."""
 
 
 class State(str, Enum):

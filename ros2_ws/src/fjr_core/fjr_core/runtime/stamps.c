@@ -23,6 +23,7 @@
 #define LATER 2000000      /* ns; a sample that is older than usual by more has waited */
 #define SLOWLY 64          /* samples in which the usual age follows a larger one */
 #define WAITING 5000000    /* ns */
+#define DRIFT 1000         /* of this time the least age forgets one part: two clocks may drift apart */
 
 /* Return 1 if the sample is to wait for a newer one. */
 static int waits(struct fjr_stamps* s, int simulated, int64_t stamp, int64_t arrival) {
@@ -76,6 +77,8 @@ static int64_t accept_stamp(struct fjr_stamps* s, int64_t stamp, int64_t arrival
   const int64_t age = arrival - stamp;
   if (s->last == FJR_NEVER || age < s->usual_age) s->usual_age = age;
   s->usual_age += (age - s->usual_age) / SLOWLY;
+  if (s->last == FJR_NEVER || stamp < s->last || age < s->least_age) s->least_age = age;
+  s->least_age += elapsed / DRIFT;
   if (elapsed) s->interval = elapsed;
   if (elapsed > s->timeout) elapsed = s->timeout;
   if (stamp != s->last) s->arrival = arrival;

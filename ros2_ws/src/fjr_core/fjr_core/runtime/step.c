@@ -75,6 +75,14 @@ static int frozen(const struct fjr_model* m, struct fjr_controller* c, int32_t j
   return without_effort(m, c, stamp, command);
 }
 
+/* Report when samples become older, by more than the timeout, than the youngest of their time line. */
+static void note_age(struct fjr_controller* c, int64_t stamp, int64_t arrival) {
+  const struct fjr_event event = {FJR_STATES_LATE, NONE, NONE, 0, stamp, NAN, NAN};
+  const int late = arrival - stamp - c->stamps.least_age > c->stamps.timeout;
+  if (late) report_episode(c, &c->journal.late, event);
+  c->journal.late = late;
+}
+
 /* State transitions of this sample; return 0 if there is no transition to the reference. */
 static int advance(struct fjr_controller* c, enum fjr_order order, int64_t stamp, int settling) {
   handle_order(c, order, stamp, settling);
@@ -128,6 +136,7 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   blend_and_limit(m, c, command->u, command->V, stamp);
   accept_law(c);
   const int64_t elapsed = accept_stamp(&c->stamps, stamp, arrival);
+  if (!m->simulated) note_age(c, stamp, arrival);
   if (c->supervisor.stopped) c->stopped_time += elapsed;
   c->journal.not_finite = c->journal.frozen = 0;
   write_command(c, command, command->V, order == FJR_BACK);
@@ -174,7 +183,7 @@ void fjr_start(struct fjr_controller* c, const struct fjr_reference* reference) 
   memset(&c->contact, 0, sizeof c->contact);
   fill(c->policy.agreed, 0, N), fill(c->policy.size, 0, N);
   c->policy.released = 0;
-  c->journal.saturation = c->journal.not_finite = c->journal.frozen = 0;
+  c->journal.saturation = c->journal.not_finite = c->journal.frozen = c->journal.late = 0;
 }
 
 void fjr_apply(struct fjr_controller* c, const struct fjr_settings* settings) {

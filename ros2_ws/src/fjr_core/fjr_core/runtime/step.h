@@ -131,7 +131,7 @@ struct fjr_command {
 
 /* What is counted; an event has the kind of its counter. The names stand in events.py, in this order. */
 enum fjr_kind {
-  FJR_STATES_OLDER, FJR_STATES_STALE, FJR_STATES_REPEATED, FJR_STATES_FROZEN, FJR_JUMPS_DOUBTED,
+  FJR_STATES_OLDER, FJR_STATES_STALE, FJR_STATES_LATE, FJR_STATES_REPEATED, FJR_STATES_FROZEN, FJR_JUMPS_DOUBTED,
   FJR_REFERENCE_RESTARTS, FJR_SILENCES, FJR_FORWARD_JUMPS,
   FJR_OBSERVER_RESTARTS, FJR_RECOVERIES, FJR_STARTS_REFUSED, FJR_STOPS, FJR_STOPS_WIRING, FJR_STOPS_LINK_POSITION,
   FJR_STOPS_MOTOR_POSITION, FJR_STOPS_LINK_VELOCITY, FJR_STOPS_MOTOR_VELOCITY, FJR_STOPS_DEFLECTION,
@@ -167,7 +167,7 @@ struct fjr_journal {
   int64_t events; /* written so far; event k is at event[k % FJR_EVENTS] */
   struct fjr_event event[FJR_EVENTS];
   struct fjr_wiring_fault wiring; /* of the last stop for the wiring */
-  int32_t saturation, not_finite, frozen; /* an episode is on */
+  int32_t saturation, not_finite, frozen, late; /* an episode is on */
 };
 
 /* ---- Controller ------------------------------------------------------------------------------------------------ */
@@ -182,6 +182,7 @@ struct fjr_stamps {
   int64_t interval;                   /* between the last two, 0: unknown */
   int64_t waiting, waiting_since;     /* stamp, FJR_NEVER for none, and arrival of a sample that waits for a newer one */
   int64_t usual_age;                  /* arrival - stamp of samples that did not wait */
+  int64_t least_age;                  /* of the time line, but for a drift of the clocks */
   int64_t falling_since, age;         /* arrival and age of the sample with which the look at the age began */
   int64_t gap, gap_end;               /* length of the last gap; stamp of its end, FJR_NEVER for none */
   int64_t timeout;
