@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from PIL import Image, ImageSequence
 
 from fjr_engines import film
 from fjr_engines.film import HEIGHT, PERIOD, WIDTH, FilmError
+from fjr_monitor.report.html import ArmReplay
+from fjr_monitor.report.shown import Shown
 from system.executables import fjr_here
 from system.shared_runs import DURATION, shared_run
 
@@ -68,6 +71,23 @@ def test_a_film_shows_the_motion_in_its_time(
     assert file.stat().st_size < 500e3
     settled, half, again = (frames[round(t / period)] for t in (0.96, 1.96, 2.96))  # the reference repeats after 2 s
     assert np.abs(settled - half).mean() > 10 * np.abs(settled - again).mean()
+
+
+def test_a_film_of_one_state_is_one_picture(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn_by("MuJoCo", monkeypatch)
+    whole = film.arm_replay
+
+    def first(data: Shown) -> ArmReplay | None:
+        arm = whole(data)
+        return arm and replace(arm, t=arm.t[:1], link=arm.link[:1], motor=arm.motor[:1])
+
+    monkeypatch.setattr(film, "arm_replay", first)
+    run, file = shared_run(tmp_path_factory, "paper_k31"), tmp_path / "joint.gif"
+    fjr_here("report", str(run), "--output", str(tmp_path / "report"), "--film", str(file))
+    with Image.open(file) as picture:
+        assert getattr(picture, "n_frames", 1) == 1
 
 
 def test_the_frames_of_mp4_go_to_ffmpeg_whose_failure_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,7 +87,7 @@ def film(data: Shown, file: Path) -> None:
     arm = arm_replay(data)
     if arm is None:
         raise FilmError("the bag has no positions of links; expected them in /joint_states")
-    times = np.arange(arm.t[0], min(arm.t[-1], arm.t[0] + LONGEST), PERIOD)
+    times = arm.t[0] + PERIOD * np.arange(max(1.0, np.ceil(min(np.ptp(arm.t), LONGEST) / PERIOD)))
     with phase(f"{file}: drawing {len(times)} frames"), TemporaryDirectory(ignore_cleanup_errors=True) as name:
         frames = frames_of_mujoco(data.run.scenario, arm, times, Path(name))
         save(frames_of_page(arm, times, Path(name)) if frames is None else frames, file)
