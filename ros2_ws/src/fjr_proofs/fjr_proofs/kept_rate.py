@@ -98,9 +98,8 @@ def certified_rate(scenario: Scenario, seconds: float) -> CertifiedRate:
     known = cached_rate(scenario)
     if known is not None and known.complete:
         return known
-    rate = _proven_within(scenario, law, seconds)
-    if known is not None and known.beta >= rate.beta:
-        return known  # it had more time
+    rates = filter(None, (known, _proven_within(scenario, law, seconds)))  # the known one may have had more time
+    rate = max(rates, key=lambda each: each.beta)
     with suppress(OSError):
         folder, name, content = code_folder(), _name(scenario), json.dumps(vars(rate)).encode()
         folder.write(name, content)
