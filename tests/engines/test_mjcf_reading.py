@@ -127,7 +127,21 @@ def body(inside: str, more: str = "") -> str:
 TWO = '<joint name="two" axis="0 1 0"/>'
 ENDS = '<joint joint="one" coef="1"/><joint joint="two" coef="-1"/>'
 TENDON = f'<tendon><fixed name="belt" stiffness="3">{ENDS}</fixed></tendon>'
+ROTOR = '<body><joint name="two_motor" axis="0 1 0" armature="1"/><geom size="0.01"/></body></worldbody>'
+SPRING = (
+    '<tendon><fixed name="two_spring" stiffness="300" springlength="0">'
+    '<joint joint="two_motor" coef="1"/><joint joint="two" coef="-1"/></fixed></tendon>'
+)
+
+
+def driven(spring: str) -> str:
+    """Return an MJCF whose second link is driven by a rotor through a spring."""
+    return body(TWO, spring).replace("</worldbody>", ROTOR)
+
+
 REFUSED = {
+    "a spring with damping": (driven(SPRING.replace("<fixed", '<fixed damping="2"')), "'two_spring' is a tendon"),
+    "a spring with a length": (driven(SPRING.replace('"0"', '"0.1"')), "'two_spring' is a tendon; expected joints"),
     "free joint": (
         '<mujoco><worldbody><body><freejoint name="float"/><geom size="1"/></body></worldbody></mujoco>',
         "joint 'float' is free; expected hinges and slides on a fixed base",
@@ -165,6 +179,12 @@ def test_what_is_no_serial_arm_is_refused_in_one_sentence(
         arm_from(text, tmp_path)
     assert "\n" not in str(refused.value)
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_a_spring_of_an_export_is_read(tmp_path: Path) -> None:
+    arm = arm_from(driven(SPRING), tmp_path)
+    assert np.diag(arm.robot.K)[1] == pytest.approx(300.0)
+    assert np.diag(arm.robot.M_m)[1] == pytest.approx(1.0)
 
 
 def test_a_tendon_without_force_and_a_constraint_that_is_off_do_not_matter(tmp_path: Path) -> None:

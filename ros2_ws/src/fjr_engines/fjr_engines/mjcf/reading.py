@@ -24,7 +24,6 @@ from fjr_design.scaffold.files import path_from
 from .writing import SPRING, pose_of, refusals
 
 AT_JOINTS = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-AT_TENDONS = int(mujoco.mjtTrn.mjTRN_TENDON)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 JOINTS = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", SLIDE: "prismatic"}
 Element = ElementTree.Element
@@ -79,7 +78,8 @@ def springs_of(model: mujoco.MjModel) -> dict[str, float]:
         fixed = parts[model.wrap_type[parts] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
         ends = {model.joint(model.wrap_objid[part]).name: model.wrap_prm[part] for part in fixed}
         joint = name.removesuffix(SPRING)
-        if ends != {joint: -1.0, joint + MOTOR: 1.0}:
+        more = model.tendon_damping[tendon], *model.tendon_lengthspring[tendon]
+        if ends != {joint: -1.0, joint + MOTOR: 1.0} or any(more):
             raise RobotError(f"'{name}' is a tendon; expected joints without tendons, or the springs of our export")
         springs[joint] = float(model.tendon_stiffness[tendon])
     return springs
@@ -87,7 +87,7 @@ def springs_of(model: mujoco.MjModel) -> dict[str, float]:
 
 def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
     """Return whether a tendon exerts a force, by itself or by an actuator."""
-    moves = model.actuator_trnid[model.actuator_trntype == AT_TENDONS, 0]
+    moves = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON), 0]
     forces = ("stiffness", "damping", "frictionloss", "armature", "limited")
     return tendon in moves or any(getattr(model, f"tendon_{force}")[tendon] for force in forces)
 
