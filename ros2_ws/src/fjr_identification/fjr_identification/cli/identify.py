@@ -70,7 +70,7 @@ def identify(
         identification = identification_of(motions, nominal.robot, prior, options, progress)
     compared = [hold_out(identification, record, nominal.robot, prior, options) for record in predicted]
     notes = (*notes, *more, *unconfirmed(compared))
-    shares = {held.record: held.shares for held in compared}
+    shares = {str(path): held.shares for path, held in zip(hold_outs, compared, strict=True)}
     lacks = lacking(motions, nominal.robot)
     inputs = {"robot": robot, "records": records, "hold_out": shares, "lacking": lacks, "notes": notes}
     values = {**identification.as_dict(), **inputs}
