@@ -103,6 +103,17 @@ def test_derivatives_of_sums_of_sines_are_enclosed() -> None:
     assert (later - earlier)[:, :12] / 2e-5 == pytest.approx(models[:, 2:, 0], abs=1e-5 * np.abs(models[..., 0]).max())
 
 
+def test_sines_of_large_angles_are_enclosed() -> None:
+    """At 1e7 rad a rounding of the angle is 1e-9 rad, more than that of a sum."""
+    t, phase = np.linspace(0.0, 1.0, 50), 1e7 + 0.3
+    values = TaylorModels.sines(MultiSine([[1.0]], [[3.0]], [[phase]], [0.0]), t, 0.0, 1, Shape(0)).values[:, 0]
+    with mp.workdps(40):
+        exact_values = [mp.sin(3 * mp.mpf(each) + mp.mpf(phase)) for each in t.tolist()]
+        errors = [float(abs(mp.mpf(model[0]) - true)) for model, true in zip(values, exact_values, strict=True)]
+    assert np.all(errors <= values[:, -1])
+    assert max(errors) > 1e-11
+
+
 def test_a_divisor_that_may_be_zero_is_refused() -> None:
     function = TaylorFunction(ca.Function("f", [A], [1 / A]))
 

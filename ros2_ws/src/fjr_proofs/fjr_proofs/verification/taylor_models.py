@@ -33,7 +33,7 @@ ROUNDING = 1 + 1e-9
 PRODUCTS = 1e-13
 """Relative error of two products of matrices of up to 100 rows."""
 SINES = 1e-11
-"""Relative error of a sum of sines."""
+"""Relative error of a sum of sines, beside that by the rounding of their angles."""
 LANES = 8
 """Boxes that are computed together."""
 OPERATIONS = (
@@ -88,11 +88,12 @@ class TaylorModels:
     def sines(cls, reference: Sines, middle: Array, radius: float, derivatives: int, shape: Shape) -> TaylorModels:
         """Return q, dq, .. (derivatives n, k) of a reference in the time of windows, from -1 at their start to 1.
 
-        middle (k,), radius [s]: of the windows. The rounding of a sum of sines is bounded by SINES times the sum of
-        their amplitudes.
+        middle (k,), radius [s]: of the windows. The rounding of a sum of sines is bounded by SINES and four roundings
+        of their largest angle, times the sum of their amplitudes.
         """
         order = shape.order
-        amplitude, frequency, _ = reference.rows
+        amplitude, frequency, phase = reference.rows
+        inexact = SINES + 4 * ROUNDED * float(np.max(np.abs(frequency) * np.abs(middle).max() + np.abs(phase)))
         largest = [np.abs(amplitude * frequency**i).sum(axis=0) for i in range(derivatives + order)]
         largest[0] = largest[0] + np.abs(np.asarray(reference.offset))
         scale = [radius**k / factorial(k) for k in range(order + 1)]
@@ -101,8 +102,8 @@ class TaylorModels:
         for i in range(derivatives):
             for k in range(order):
                 values[:, i, :, k] = scale[k] * jets[i + k]
-                values[:, i, :, -1] += SINES * scale[k] * largest[i + k]
-            values[:, i, :, -1] += (1 + SINES) * scale[order] * largest[i + order]
+                values[:, i, :, -1] += inexact * scale[k] * largest[i + k]
+            values[:, i, :, -1] += (1 + inexact) * scale[order] * largest[i + order]
         return cls(values.reshape(len(middle), -1, shape.width), shape)
 
     def among(self, shape: Shape) -> TaylorModels:
