@@ -165,6 +165,51 @@ def test_begin_of_a_fault_of_the_robot_is_the_likeliest() -> None:
     assert finding.since == pytest.approx(0.8, abs=0.04)
 
 
+@pytest.mark.parametrize("samples", [6000, 16_000])
+def test_begin_is_told_by_the_stamps_across_a_gap_and_in_a_long_record(samples: int) -> None:
+    """Of the long record the first and the last 5,000 states are used; states of the short one are missing."""
+    begin = PERIOD * samples - 2.5
+    sensed = encoder("encoder slip", *MOTOR[:1], 2e-3, begin)
+    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
+    seen = recorded(law(), reference, np.zeros(8), samples, sensed=sensed, steps=1)
+    kept = np.delete(np.arange(samples), np.arange(1000, 1400)) if samples == 6000 else np.arange(samples)
+    (finding,) = diagnose(replace(seen.rows(kept), t=seen.t[kept] + 100.0), law(), axes=AXES).findings
+    assert (finding.kind.split(" or ")[0], finding.joint, finding.side) == ("encoder slip", "elbow", "motor")
+    assert finding.since == pytest.approx(begin, abs=samples * PERIOD / 60)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("kind", ["torque constant", "effort limit"])
+def test_a_motor_of_a_differential_is_named(joint: int, kind: str) -> None:
+    """Each of its motors drives both joints."""
+    model = replace(MODEL, B_m=np.array([[1.0, 1.0], [1.0, -1.0]]))
+    controlled, one = fjr.TrackingLaw(model, fjr.synthesize(model, 8.0, PERIOD)), np.eye(2)[joint]
+
+    def acting(u: Array) -> Array:
+        return u * (1 - 0.1 * one) if kind == "torque constant" else np.clip(u, *(s / (one + 1e-9) for s in (-3, 3)))
+
+    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
+    seen = recorded(controlled, reference, np.zeros(8), round(DURATION / PERIOD), acting=acting)
+    (finding,) = diagnose(seen, controlled, axes=AXES).findings
+    assert (finding.kind, finding.joint, finding.side) == (kind, NAMES[joint], "motor")
+    assert finding.size == pytest.approx(-10.0 if kind == "torque constant" else 3.0, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("changed", "unit", "of_revolute"),
+    [("K", "%", "%"), ("D_l", "N s/m", "N m s/rad"), ("M_m", "kg", "kg m^2")],
+)
+def test_a_fault_of_a_prismatic_joint_has_its_units(changed: str, unit: str, of_revolute: str) -> None:
+    """The equations are those of the two-link arm, of whose first joint metres are said."""
+    real = replace(MODEL, **{changed: getattr(MODEL, changed) * [[1.2], [1.0]] * [[1.2, 1.0]]})
+    sliding = replace(MODEL, prismatic=(True, False))
+    controlled = fjr.TrackingLaw(sliding, law().gains)
+    (finding,) = diagnose(record(real), controlled, axes=replace(AXES, units=("m", "rad"))).findings
+    assert (finding.joint, finding.unit) == ("shoulder", unit)
+    assert f" {unit} explains" in finding.sentence
+    assert verdict(real).findings[0].unit == of_revolute
+
+
 def torques_of(seen: Record, torque: Callable[[Residuals], Array]) -> Finding:
     """Return what is found if torques (b, 4) [N m] act in the blocks of a record, with noise."""
     found, rng, noise = innovations(seen, law()), np.random.default_rng(2), np.full(4, 1e-3)

@@ -105,7 +105,7 @@ class Robot(Elastic):
 
     def __post_init__(self) -> None:
         for name in ("M_m", "K", "D_l", "D_m", "B_m"):
-            array = checks.matrix(name, getattr(self, name), self.n, RobotError)
+            array = checks.matrix(name, getattr(self, name), self.links.n, RobotError)
             if name in ("M_m", "K"):
                 array = checks.positive_definite(name, array, RobotError)
             if name in ("D_l", "D_m"):
@@ -125,11 +125,6 @@ class Robot(Elastic):
             raise RobotError(f"prismatic is {self.prismatic}; expected one entry for each of {self.n} joints, or none")
         for M in self.links.M_l_vertices or (self.links.M_l(np.zeros(self.n)).full(),):
             checks.positive_definite("M_l", np.asarray(M), RobotError)
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return self.links.n
 
     @cached_property
     def M_m_inverse(self) -> ca.DM:
@@ -267,6 +262,10 @@ class Units(NamedTuple):
     velocity: str
     acceleration: str
     effort: str
+
+    def of(self, unit: str) -> str:
+        """Return the unit of this joint in place of that of a revolute one, such as N m s/rad."""
+        return unit if self == REVOLUTE else unit.replace("kg m^2", "kg").replace("N m", "N").replace("rad", "m")
 
 
 REVOLUTE = Units("rad", "rad/s", "rad/s^2", "N m")

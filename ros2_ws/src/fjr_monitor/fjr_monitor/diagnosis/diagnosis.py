@@ -72,6 +72,7 @@ def innovations(
         limited=limited(sent[first], older, dt[first], record.effort_limit, record.effort_rate),
         tracking=q[second, :n] - record.jets[second, 0],
         states=np.stack([np.hstack([q[rows], dq[rows]]) for rows in (first, second)], axis=1),
+        t=record.t[first],
     )
 
 
@@ -108,7 +109,7 @@ class FirstPass:
         self.law, self.axes, self.step, k = law, axes, record.step, len(record)
         self.reference = Visited(law.robot.n, k, CONFIGURATIONS)  # a diverging robot may be anywhere else
         self.visited = Visited(law.robot.n, k, VISITED)
-        self.intervals, self.moving = 0, False
+        self.intervals, self.moving = 0, not k
         for part in parts_of(record, size):
             self.reference.add(part.jets[:, 0], part.begin)
             self.visited.add(part.position[:, : law.robot.n], part.begin)

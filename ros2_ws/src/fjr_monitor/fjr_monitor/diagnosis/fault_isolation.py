@@ -9,6 +9,7 @@ masks the later ones.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ def isolate(
         contradicted = velocity_faults(record, names)
         if contradicted:
             return contradicted
-        seen = residuals(found, late, law)
+        seen = residuals(replace(found, t=found.t - record.t[0]), late, law)
         return () if seen is None else torque_fault(seen, names)
 
 

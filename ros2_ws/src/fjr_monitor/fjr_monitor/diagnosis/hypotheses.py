@@ -11,7 +11,7 @@ sine of the angle, once a turn, that of a drift the time.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -68,12 +68,10 @@ class Hypothesis:
 def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
     """Return all possible faults of all joints."""
     n = seen.robot.n
-    for j in range(n):
-        yield from _of_side(seen, j, LINK, j)
-        yield from _of_side(seen, j, MOTOR, n + j)
-        yield from _of_spring(seen, j)
-        yield from _of_motor(seen, j, n + j)
-        yield from _of_body(seen, j)
+    for j, units in enumerate(seen.robot.units):
+        of_sides = *_of_side(seen, j, LINK, j), *_of_side(seen, j, MOTOR, n + j)
+        for each in (*of_sides, *_of_spring(seen, j), *_of_motor(seen, j, n + j), *_of_body(seen, j)):
+            yield replace(each, unit=units.of(each.unit))
 
 
 def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
@@ -92,7 +90,7 @@ def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypot
         yield Hypothesis(CABLE, j, side, "N m/rad", np.concatenate(pull, axis=2))
     q, dq = seen.found.states[:, :, channel], seen.found.states[:, :, 2 * seen.robot.n + channel]
     one = np.ones_like(q)
-    t = np.cumsum(seen.found.dt)[:, None] * one
+    t = seen.found.t[:, None] * one
     column = seen.of_encoder(channel)
     yield Hypothesis("position offset", j, side, "rad", column(one, 0 * one))
     yield Hypothesis("encoder gain", j, side, "%", column(q, dq), lambda share: 100 * float(share[0] / (1 - share[0])))
@@ -121,12 +119,15 @@ def _of_size(kind: str, joint: int, side: str, unit: str, columns: Array, size: 
 
 def _of_motor(seen: Residuals, j: int, channel: int) -> Iterator[Hypothesis]:
     """Return torque constant, limit of the effort and inertia of the motor."""
-    u, B = seen.u[:, j], seen.robot.B_m[j, j]
-    gain = seen.placed({channel: u * B})
-    yield Hypothesis("torque constant", j, MOTOR, "%", gain, lambda fitted: 100 * float(fitted[0]))
+    u = seen.u[:, j]
+
+    def made(torque: Array) -> Array:  # by B_m a motor may drive other joints, too, as in a differential
+        return seen.placed({seen.robot.n + i: b * torque for i, b in enumerate(seen.robot.B_m[:, j])})
+
+    yield Hypothesis("torque constant", j, MOTOR, "%", made(u), lambda fitted: 100 * float(fitted[0]))
     for limit in LIMITS * np.max(np.abs(u)):
-        columns = seen.placed({channel: (np.clip(u, -limit, limit) - u) * B})
-        if np.count_nonzero(columns) >= CLIPPED:
+        columns = made(np.clip(u, -limit, limit) - u)
+        if np.count_nonzero(columns.any(axis=1)) >= CLIPPED:
             yield _of_size("effort limit", j, MOTOR, "N m", columns, float(limit))
     yield Hypothesis("inertia", j, MOTOR, "kg m^2", seen.placed({channel: -seen.ddq[:, channel]}))
 

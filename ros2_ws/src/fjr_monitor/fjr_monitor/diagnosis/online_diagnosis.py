@@ -100,7 +100,8 @@ class LatestIntervals:
         unmeasured = dict.fromkeys(("before", "after"), np.full((k, self._n), np.nan))
         own: dict[str, Any] = {"latency": self._latencies[rows].copy(), "tracking": self._tracking[rows].copy()}
         own |= {"limited": np.zeros((k, self._n), dtype=bool), "answered": np.ones(k, dtype=bool)}
-        return Innovations(**found, **unmeasured, **own, states=np.full((k, 2, 4 * self._n), np.nan))
+        own |= {"states": np.full((k, 2, 4 * self._n), np.nan), "t": np.full(k, np.nan)}
+        return Innovations(**found, **unmeasured, **own)
 
 
 class OnlineDiagnosis:

@@ -180,7 +180,7 @@ def limited(u: Array, older: Array, dt: Array, limit: Array, rate: Array | float
 class Innovations(Table):
     """Innovations of k intervals between consecutive states, in order of time.
 
-    dt (k,) [s]: lengths. V0, V1, predicted (k,) [J]: storage at the first state, at the second, and predicted for the
+    t, dt (k,) [s]: begins and lengths. V0, V1, predicted (k,) [J]: storage at the first state, at the second, and predicted for the
     second with the sent effort held. sent, law (k, n) [N m]: sent effort, and effort of the law at the first state.
     before, after (k, n) [N m]: measured effort of the motors at both states, NaN: not measured. error (k, 4n): measured
     minus predicted positions and velocities of the second state. slope (k, 4n): dV/d of these there. answered (k,):
@@ -206,3 +206,4 @@ class Innovations(Table):
     limited: NDArray[np.bool_]
     tracking: Array
     states: Array
+    t: Array

@@ -67,9 +67,8 @@ class Residuals:
 
     @property
     def t(self) -> Array:
-        """The times (b,) [s] at which the blocks begin, from the first interval on."""
-        dt = blocks_of(self.found.dt, self.block).sum(axis=1)
-        return np.cumsum(dt) - dt
+        """The times (b,) [s] at which the blocks begin."""
+        return blocks_of(self.found.t, self.block)[:, 0]
 
     def of_encoder(self, channel: int) -> Callable[[Array, Array], Array]:
         """Return the residual (b, 2n, 1) as a function of errors (k, 2) of an encoder's position and velocity.

@@ -14,6 +14,7 @@ import numpy as np
 
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
+from fjr_msgs_py.console.output import number
 
 from .hypotheses import JOINT, LINK, MOTOR, Hypothesis, hypotheses
 from .residuals import Residuals, explained_share
@@ -139,7 +140,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     first = several[0]
     what = " or ".join(each.place(names) for each in several) + f" explains {100 * share:.0f} % of the residual torque"
     since = float(seen.t[first.onset]) if first.onset else 0.0
-    what += f" from {since:.3g} s on" if since else ""
+    what += f" from {number(since, 's')} on" if since else ""
     kind = " or ".join(each.kind for each in several)
     side = first.fault.side if len({each.fault.side for each in several}) == 1 else ""
     return (Finding(kind, names[joint], side, first.size, first.fault.unit, share, what, since),)
@@ -147,11 +148,10 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
 
 def _acts(seen: Residuals, best: FittedFault) -> bool:
     """Return whether a fault of the command explains the effort that acted, too, not only that most is missing."""
-    joint, channel = best.fault.joint, seen.robot.n + best.fault.joint
-    y = seen.r / seen.sigma
-    acted = y[:, channel] + seen.means(seen.u[:, joint]) * seen.robot.B_m[joint, joint] / seen.sigma[channel]
-    left = best.left - float((np.delete(y, channel, axis=1) ** 2).sum())
-    return left < max(PRESENT**2 * len(y), (1 - EXPLAINED) * float(acted @ acted))
+    y, B = seen.r / seen.sigma, np.append(np.zeros(seen.robot.n), seen.robot.B_m[:, best.fault.joint])
+    acted = (y + seen.means(seen.u[:, best.fault.joint])[:, None] * B / seen.sigma)[:, B != 0]
+    left = best.left - float((y[:, B == 0] ** 2).sum())
+    return left < max(PRESENT**2 * acted.size, (1 - EXPLAINED) * float((acted**2).sum()))
 
 
 def at_one_place(seen: Residuals, names: Sequence[str]) -> Finding | None:

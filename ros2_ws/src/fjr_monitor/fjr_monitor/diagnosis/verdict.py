@@ -184,9 +184,8 @@ class BlockStatistics:
             causes = causes or ((SAMPLING,) if self._hold > self._slack else ())
             return violated(f"V grew to {grown:.2g} times its floor", causes, figures)
         if self._blocks < thresholds.FEWEST:
-            states = int(figures.get("intervals", self._blocks * BLOCK))
-            fewest = thresholds.FEWEST * BLOCK
-            return unknown(f"{states} consecutive states with a command; expected {fewest}", figures)
+            intervals, fewest = figures.get("intervals", self._blocks * BLOCK), thresholds.FEWEST * BLOCK
+            return unknown(f"{intervals:.0f} intervals between states with a command; expected {fewest}", figures)
         if self._counted < max(thresholds.FEWEST, thresholds.JUDGED * self._blocks):
             return unknown("most efforts sent are not those of the law", figures)
         which = int(self._graded[1])
