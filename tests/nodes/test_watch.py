@@ -130,6 +130,16 @@ def test_timing_covers_the_last_seconds() -> None:
     assert timing.unanswered == 20
 
 
+@pytest.mark.parametrize("states", [0, 100])
+def test_commands_without_states_fill_no_memory(states: int) -> None:
+    """A robot that is not seen, or has died, beside a controller that goes on."""
+    watched = Watched("t")
+    watched.sent(received((k * MS, k * MS) for k in range(states)))
+    for begin in range(0, 60_000, 100):
+        watched.answered(received((k * MS, k * MS + 200_000) for k in range(begin, begin + 100)))
+    assert len(watched._answered) <= 4100
+
+
 def test_a_clock_that_is_set_back_restarts_the_timing() -> None:
     watched, hour = Watched("t"), 3_600_000 * MS
     watched.sent(received((k * MS, hour + k * MS) for k in range(100)))

@@ -19,8 +19,10 @@ from jinja2 import UndefinedError
 from fjr_monitor.diagnosis.verdict import Diagnosis
 from fjr_monitor.report import comparison_page, html
 from fjr_monitor.report.html import STORED, Line, Plot, Pool, decimated, drawable
+from fjr_monitor.report.picture import SHADES
 from fjr_monitor.report.run_page import HALF, bins
 from fjr_msgs_py.console.output import aligned, milli, number, percent
+from fjr_msgs_py.console.provenance import without_home
 from fjr_msgs_py.node.reports import VERDICT_LEVELS
 
 VALUES = st.floats(-1e6, 1e6, width=32)
@@ -86,6 +88,8 @@ def test_histograms_count_every_value(times: list[int]) -> None:
         (26.2034, "26.2"),
         (255.76, "256"),
         (1234.5, "1234"),
+        (999.7, "1000"),
+        (-999999.9, "-1000000"),
         (0.0123, "0.0123"),
         (1.234e-5, "1.23·10⁻⁵"),
         (-2e7, "-2.00·10⁷"),
@@ -94,6 +98,21 @@ def test_histograms_count_every_value(times: list[int]) -> None:
 def test_numbers_are_formatted_readably(value: float | None, text: str) -> None:
     assert number(value) == text
     assert (number(0.5, "s"), percent(0.99861), milli(3.1e-4, "s")) == ("0.5 s", "99.86 %", "0.31 ms")
+    assert number(99.6, "%", 2) == "100 %"
+
+
+def test_eight_joints_have_eight_colours_on_pages_and_pictures() -> None:
+    names, style = [html.colour(j) for j in range(8)], (files("fjr_monitor") / html.TEMPLATES / "page.css").read_text()
+    for scheme in style.split("@media")[:2]:  # light and dark
+        assert len({re.search(rf"--{name}: (#\w+);", scheme)[1] for name in names}) == 8
+    assert len({SHADES[name] for name in names}) == 8
+
+
+def test_a_page_shows_no_home_folder_but_other_folders_that_begin_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/al")
+    assert without_home("fjr report /home/al/runs '--output=/home/al' /home/alice/x /home/al") == (
+        "fjr report ~/runs '--output=~' /home/alice/x ~"
+    )
 
 
 @pytest.mark.parametrize("width", [40, 80, None])

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fjr_monitor.report.performance import Storage, steps, storage
+from fjr_core.numerics.checks import Array
+from fjr_monitor.diagnosis.record import held_efforts
+from fjr_monitor.recording.columns import Columns
+from fjr_monitor.report.performance import Storage, energy, steps, storage
 
 T = 1e-3 * np.arange(4000)
 BETA = 5.0
@@ -41,15 +44,28 @@ def test_robot_that_starts_on_its_reference_is_on_the_bound_until_it_leaves_the_
     assert stored(np.where(T > 1.0, 0.0, 0.3)).leaves_bound_at_s is None  # V reaches zero
 
 
-def test_stored_energy_is_the_supplied_less_the_dissipated_plus_the_residual_where_commands_are_missing() -> None:
-    rng, k = np.random.default_rng(0), 50
+def part_of(u: Array) -> Any:
+    """Return a part in lock-step with these commands (k, 2), which V, H and the motion know nothing of."""
+    rng, k = np.random.default_rng(0), len(u)
     certificate = SimpleNamespace(dissipated=rng.random(k), H=rng.random(k), held_rate=lambda u: u[1:, 0])
-    part: Any = SimpleNamespace(t=T[:k], V=rng.random(k), position=rng.random((k, 4)), u=rng.normal(size=(k, 2)))
+    part = SimpleNamespace(t=T[:k], V=rng.random(k), position=rng.random((k, 4)), u=u, held=held_efforts(u, None))
     part.certificate, part.u_applied, part.lockstep, part.begin = certificate, None, True, 0
-    part.u[[7, 8, 20]] = np.nan
-    found = steps(part, np.diag([1.0, 2.0]), BETA, np.zeros(4))
-    assert np.isnan(found["watts"][[8, 9, 21], 0]).all()
-    supplied, dissipated, kept, residual = found["joules"][-1]
+    return part
+
+
+def test_energy_is_supplied_by_the_effort_that_is_held_where_commands_are_missing() -> None:
+    u, B_m = np.random.default_rng(1).normal(size=(50, 2)), np.diag([1.0, 2.0])
+    u[[7, 8, 20]] = np.nan
+    part = part_of(u)
+    supplied, dissipated, kept, residual = steps(part, B_m, BETA, np.zeros(4))["joules"][-1]
     assert kept == pytest.approx(supplied - dissipated + residual, abs=1e-12)
-    known = np.isfinite(part.u[:-1, 0])
-    assert kept == pytest.approx(np.diff(certificate.H)[known].sum(), abs=1e-12)
+    assert kept == pytest.approx(part.certificate.H[-1] - part.certificate.H[0], abs=1e-12)
+    u[7:9], u[20] = u[6], u[19]
+    assert supplied == pytest.approx((u[:-1] @ B_m * np.diff(part.position[:, 2:], axis=0)).sum(), abs=1e-12)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_energies_are_unknown_if_no_command_is(known: bool) -> None:
+    columns = Columns()
+    columns.add(**steps(part_of(np.full((50, 2), 0.5 if known else np.nan)), np.eye(2), BETA, np.zeros(4)))
+    assert (np.isfinite(list(vars(energy(columns)).values())) == known).all()

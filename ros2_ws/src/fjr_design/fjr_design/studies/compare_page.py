@@ -48,7 +48,6 @@ TRACES = ("error", "The largest |q_l − q_ld|", "error [mrad]", 1e3), ("effort"
 Style = tuple[str, str, tuple[int, ...]]
 HEADROOM = 3.0  # times the largest error that counts as tracking; larger errors are not drawn
 DASHES: tuple[tuple[int, ...], ...] = ((), (6, 4), (2, 3), (8, 3, 2, 3))
-COLOURS = 8  # --c1 .. --c8 of page.css
 
 
 def write_page(path: Path, document: dict[str, Any]) -> None:
@@ -166,8 +165,7 @@ def looks(laws: Sequence[dict[str, Any]]) -> list[tuple[str, tuple[int, ...]]]:
     order = list(dict.fromkeys(names))
     before = [names[:i].count(name) for i, name in enumerate(names)]
     return [
-        (f"c{order.index(name) % COLOURS + 1}", DASHES[times % len(DASHES)])
-        for name, times in zip(names, before, strict=True)
+        (html.colour(order.index(name)), DASHES[times % len(DASHES)]) for name, times in zip(names, before, strict=True)
     ]
 
 

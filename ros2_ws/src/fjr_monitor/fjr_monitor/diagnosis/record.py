@@ -180,14 +180,14 @@ def limited(u: Array, older: Array, dt: Array, limit: Array, rate: Array | float
 class Innovations(Table):
     """Innovations of k intervals between consecutive states, in order of time.
 
-    t, dt (k,) [s]: begins and lengths. V0, V1, predicted (k,) [J]: storage at the first state, at the second, and predicted for the
-    second with the sent effort held. sent, law (k, n) [N m]: sent effort, and effort of the law at the first state.
-    before, after (k, n) [N m]: measured effort of the motors at both states, NaN: not measured. error (k, 4n): measured
-    minus predicted positions and velocities of the second state. slope (k, 4n): dV/d of these there. answered (k,):
-    true if the first state received a command. older (k, n) [N m]: effort sent before. latency (k,): delay of the
-    command by send times as a fraction of the interval, during which the older effort still acts; 0: not known.
-    limited (k, n): true where the effort was sent at its limit or changed at its largest rate. tracking (k, n) [rad]:
-    q_l - q_ld at the second state. states (k, 2, 4n): positions and velocities at both states, NaN: not kept.
+    t, dt (k,) [s]: begins and lengths. V0, V1, predicted (k,) [J]: storage at the first state, at the second, and
+    predicted for the second with the sent effort held. sent, law (k, n) [N m]: sent effort, and that of the law at the
+    first state. before, after (k, n) [N m]: measured effort of the motors at both states, NaN: not measured. error (k,
+    4n): measured minus predicted positions and velocities of the second state. slope (k, 4n): dV/d of these there.
+    answered (k,): true if the first state received a command. older (k, n) [N m]: effort sent before. latency (k,):
+    delay of the command by send times as a fraction of the interval, during which the older effort still acts; 0: not
+    known. limited (k, n): true where the effort was sent at its limit or changed at its largest rate. tracking (k, n)
+    [rad]: q_l - q_ld at the second state. states (k, 2, 4n): positions and velocities at both states, NaN: not kept.
     """
 
     dt: Array

@@ -65,11 +65,6 @@ class Residuals:
             columns[:, channel, 0] = self.means(signal)
         return columns
 
-    @property
-    def t(self) -> Array:
-        """The times (b,) [s] at which the blocks begin."""
-        return blocks_of(self.found.t, self.block)[:, 0]
-
     def of_encoder(self, channel: int) -> Callable[[Array, Array], Array]:
         """Return the residual (b, 2n, 1) as a function of errors (k, 2) of an encoder's position and velocity.
 

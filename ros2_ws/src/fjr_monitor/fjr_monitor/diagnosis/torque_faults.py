@@ -139,7 +139,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
         return (Finding(UNKNOWN, names[joint], share=share, sentence=what),)
     first = several[0]
     what = " or ".join(each.place(names) for each in several) + f" explains {100 * share:.0f} % of the residual torque"
-    since = float(seen.t[first.onset]) if first.onset else 0.0
+    since = float(seen.found.t[first.onset * seen.block]) if first.onset else 0.0
     what += f" from {number(since, 's')} on" if since else ""
     kind = " or ".join(each.kind for each in several)
     side = first.fault.side if len({each.fault.side for each in several}) == 1 else ""

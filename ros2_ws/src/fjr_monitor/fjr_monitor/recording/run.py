@@ -30,10 +30,11 @@ from fjr_monitor.recording.bag import Bag
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import Times
 from fjr_monitor.recording.signals import REFERENCE, RunSignals
+from fjr_msgs_py.console.output import number
 from fjr_msgs_py.node.reports import STAMP
 
 OTHER_RATE = 0.05  # relative; beyond this difference the measured sample period replaces the scenario's
-HEADINGS = {STOPS: "The controller stopped at {:.3g} s", STARTS_REFUSED: "The controller did not start"}
+HEADINGS = {STOPS: "The controller stopped at {}", STARTS_REFUSED: "The controller did not start"}
 SAME = 1e-9  # rad, rad/s, relative to the size of the reference: resolution of stamps in ns
 SETTLED = constant("OBSERVED")
 AROUND = 2048  # states before and after a part through which the splines of its reference pass
@@ -179,7 +180,7 @@ class Recording:
 
     def _certify(self, part: RunData) -> CertificateSeries:
         """Return the certificate along a part; of another law than v-dPBC only what the robot alone determines."""
-        found = self._certificate.along(part.position, part.velocity, part.jets, part.u)
+        found = self._certificate.along(part.position, part.velocity, part.jets, part.held)
         if self.scenario.certified_law is not None:
             return found
         return replace(found, V=np.nan * found.V, dV=np.nan * found.dV)
@@ -313,5 +314,5 @@ def first_stop(signals: RunSignals) -> ControllerStop | None:
             pairs = {pair.key: pair.value for pair in event.values}
             before = signals.stamp <= int(pairs[STAMP]) if STAMP in pairs else signals.sent <= sent
             at = float(signals.stamp[before].max(initial=signals.stamp[0]) - signals.stamp[0]) * 1e-9
-            return ControllerStop(at, HEADINGS[event.name].format(at), event.message.partition(": ")[2])
+            return ControllerStop(at, HEADINGS[event.name].format(number(at, "s")), event.message.partition(": ")[2])
     return None

@@ -132,9 +132,10 @@ def record(topics: Sequence[str], output: Path | None, duration: float | None, f
     tell(f"records {what} into {folder}; {limit}")
     with stoppable() as stop, Recorder(folder, topics=wanted) as recorder:
         end = math.inf if duration is None else time.monotonic() + duration
-        while not recorder.loss and not stop.wait(POLL) and time.monotonic() < end:
-            if recorder.failure:
-                raise FjrError(f"the recorder failed: {recorder.failure}")
+        while not (recorder.loss or recorder.failure or stop.wait(POLL)) and time.monotonic() < end:
+            pass
+    if recorder.failure:  # also in its last round
+        raise FjrError(f"the recorder failed: {recorder.failure}")
     return _recorded(recorder, wanted, folder)
 
 

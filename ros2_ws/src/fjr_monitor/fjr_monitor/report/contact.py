@@ -39,6 +39,7 @@ class JointContact:
     """External torque on a joint. largest: estimated; simulated: that of the simulator, None: not in the bag."""
 
     joint: str
+    effort_unit: str  # N for a prismatic joint
     largest_torque_nm: float
     simulated_torque_nm: float | None
 
@@ -57,8 +58,8 @@ class Contact:
     @property
     def sentence(self) -> str:
         """What was seen, in one sentence."""
-        torques = ", ".join(f"{each.joint} {number(each.largest_torque_nm, 'N m')}" for each in self.joints)
-        said = f"contact from {self.begins_s:.3g} to {self.ends_s:.3g} s: external torque on {torques}"
+        torques = ", ".join(f"{each.joint} {number(each.largest_torque_nm, each.effort_unit)}" for each in self.joints)
+        said = f"contact from {number(self.begins_s)} to {number(self.ends_s, 's')}: external torque on {torques}"
         force = "" if self.force_n is None else f"; largest force {self.force_at} {number(self.force_n, 'N')}"
         own = "" if self.simulated_force_n is None else f", in the simulator {number(self.simulated_force_n, 'N')}"
         return said + force + own
@@ -81,7 +82,8 @@ def contact(run: Recording, law: TrackingLaw, joints: Sequence[str]) -> Contact:
         begins_s=float(t[0]),
         ends_s=float(t[-1]),
         joints=[
-            JointContact(run.joints[j], float(largest[j]), own if own is None else float(own[j])) for j in concerned
+            JointContact(run.joints[j], run.units[j].effort, float(largest[j]), None if own is None else float(own[j]))
+            for j in concerned
         ],
         force_n=float(np.nanmax(forces)) if np.isfinite(forces).any() else None,
         force_at=AT_TIP if simulated is None else ALONG,

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 DRAWN = 4000  # points of a line; longer lines are decimated to the minimum and maximum of each bucket
 STORED = 40_000  # values of all lines of a plot, so that pages of many joints stay small
 DRAWABLE = 1e12  # larger magnitudes are not drawn
-COLOURS = 7  # --c1 .. --c7 of page.css
+COLOURS = 8  # --c1 .. --c8 of page.css
 TEMPLATES = "report/templates"
 SCRIPT, STYLE, THREE = "uPlot.iife.js", "uPlot.min.css", "three.min.js"
 ASSETS = {  # file -> distribution, whose package is not imported, and folder
@@ -52,7 +52,7 @@ HEADINGS = {
 class Line:
     """One line: values (k,) over the plot's x; NaN is a gap.
 
-    colour: name of a colour of page.css (c1 .. c7, grey, bad). dash: pixels on and off. step: hold each value until
+    colour: name of a colour of page.css (c1 .. c8, grey, bad). dash: pixels on and off. step: hold each value until
     the next x. fill: fill the area below the line. dots: one dot per value, no line. unseen: only in the legend.
     """
 
@@ -254,9 +254,8 @@ def write_page(
     pool = Pool()
     packed = [plot.packed(pool) for plot in plots]
     moved = arm.packed(pool) if arm else None
-    page = environment().get_template(template)
     data = {"arrays": pool.arrays, "plots": packed, "arm": moved}
-    write_text(path, page.render(values, title=title, plots=data, arm=arm))
+    write_text(path, environment().get_template(template).render(values, title=title, plots=data, arm=arm))
 
 
 def as_json(value: object) -> str:

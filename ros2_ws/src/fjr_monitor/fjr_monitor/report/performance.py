@@ -234,7 +234,7 @@ def steps(part: RunData, B_m: Array, beta: float, before: Array) -> dict[str, Ar
             "watts": watts,
             "joules": np.where(np.isfinite(watts[:, 3:]), watts, 0.0) * dt[:, None],
             "measured": -np.diff(V) / dt,
-            "predicted": -part.certificate.held_rate(part.u),
+            "predicted": -part.certificate.held_rate(part.held),
             "least": beta * (V[:-1] + V[1:]),
         }
     found = {name: np.insert(values, 0, np.nan, axis=0)[part.begin :] for name, values in found.items()}
@@ -243,7 +243,7 @@ def steps(part: RunData, B_m: Array, beta: float, before: Array) -> dict[str, Ar
 
 def _torque(part: RunData, B_m: Array) -> Array:
     """Return the mean motor torque over each step (k - 1, n) [N m]; a new effort acts from its arrival on."""
-    after = np.vstack([0 * part.u[:1], part.u[:-1] @ B_m.T]) if part.u_applied is None else part.torque
+    after = np.vstack([0 * part.u[:1], part.held[:-1] @ B_m.T]) if part.u_applied is None else part.torque
     if part.lockstep:
         return after[1:]
     late = np.clip(np.nan_to_num(part.latency) / part.sample_period, 0.0, 1.0)[:-1, None]
@@ -251,12 +251,13 @@ def _torque(part: RunData, B_m: Array) -> Array:
 
 
 def energy(columns: Columns) -> Energy:
-    """Return the energies of a run; columns: those of `steps` for all states."""
-    squares = joules = np.zeros(len(FLOWS))
+    """Return the energies of a run, NaN: no supplied power is known; columns: those of `steps` for all states."""
+    squares, joules, steps = np.zeros(len(FLOWS)), np.zeros(len(FLOWS)), 0
     for part in columns.parts():
         known = part["watts"][np.isfinite(part["watts"][:, -1])]
-        squares, joules = squares + (known**2).sum(axis=0), part["joules"][-1]
+        squares, joules, steps = squares + (known**2).sum(axis=0), part["joules"][-1], steps + len(known)
     supplied, *_, residual = np.sqrt(squares)
+    joules = joules if steps else np.full_like(joules, math.nan)
     return Energy(*np.append(joules, residual / supplied if supplied else math.nan).tolist())
 
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette, distinguishable by colour-blind readers
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# Okabe and Ito's palette, distinguishable by colour-blind readers, and brown
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#7A5230")
 GREY = "#666666"
 SHADES = {**{f"c{i}": shade for i, shade in enumerate(COLOURS, 1)}, "grey": "#A6A9B1", "bad": "#C0243C"}
 """By the names of page.css."""

@@ -194,11 +194,12 @@ class RunPlots:
             "In the model, the energy that the motors supply is stored or dissipated. The residual is due to friction, "
             "load, delay or wrong parameters."
         )
-        names = FLOWS if np.isfinite(steps["watts"]).any() else ()
+        known = [np.isfinite(column).any() for column in steps["watts"].T]
         watts, joules = (
             [
                 Line(name, steps[unit][:, i], "bad" if name == "residual" else colour(i), 1.2 if i == 3 else 1.5)
-                for i, name in enumerate(names)
+                for i, name in enumerate(FLOWS)
+                if known[i if unit == "watts" else -1]
             ]
             for unit in ("watts", "joules")
         )

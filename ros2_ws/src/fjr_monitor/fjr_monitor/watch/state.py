@@ -142,12 +142,12 @@ class Watched:
             self._answered.pop(self._sent.popleft()[0], None)
 
     def answered(self, times: Sequence[tuple[int, int, int]]) -> None:
-        """Store state stamps, send and receive times [ns] of commands."""
+        """Store state stamps, send and receive times [ns] of commands, also of states that never come."""
         for stamp, time, received in times:
             self._ahead[1] = max(self._ahead[1], time - received)
             self._answered.setdefault(stamp, time)
-        oldest = self._sent[0][0] if self._sent else 0
-        for stamp in [stamp for stamp in self._answered if stamp < oldest]:
+        oldest, late = self._sent[0][0] if self._sent else 0, max(self._answered.values(), default=0) - 2 * WINDOW
+        for stamp in [stamp for stamp, time in self._answered.items() if stamp < oldest or time < late]:
             del self._answered[stamp]
 
     def certificate(self, values: dict[str, float]) -> None:

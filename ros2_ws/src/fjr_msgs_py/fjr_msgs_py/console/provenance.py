@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -63,7 +64,7 @@ def provenance() -> Provenance:
 def without_home(text: str) -> str:
     """Return the text with ~ for the home folder, whose path contains the user's name."""
     home = os.path.expanduser("~")
-    return text.replace(home, "~") if len(home) > 1 else text
+    return re.sub(rf"{re.escape(home)}(?![\w.-])", "~", text) if len(home) > 1 else text
 
 
 def machine() -> str:
