@@ -26,8 +26,9 @@ from fjr_monitor.diagnosis.record import parts_of
 from fjr_monitor.recording import columns as stored
 from fjr_monitor.recording import run as recorded_run
 from fjr_monitor.recording import signals
-from fjr_monitor.recording.bag import header_stamp, read_bag
+from fjr_monitor.recording.bag import Bag, header_stamp, read_bag
 from fjr_monitor.recording.columns import Columns
+from fjr_monitor.recording.files import Topic
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording, RunData
 from fjr_monitor.report.comparison_page import differences
@@ -563,6 +564,18 @@ def test_topics_in_a_namespace_are_found_and_two_are_ambiguous(run: Path, tmp_pa
     arguments = ("report", str(tmp_path / "two"), "--scenario", str(run / "scenario.yaml"))
     assert "/left/joint_states and /right/joint_states; expected one, or its namespace" in fjr_here(*arguments, code=2)
     assert "two_report/report.html" in fjr_here(*arguments, "--namespace", "left")
+
+
+def test_topics_of_two_robots_are_not_mixed() -> None:
+    """The robot without a namespace has states only; diagnostics are those of all robots."""
+    held = (STATES, f"/left{STATES}", "/left/joint_commands", "/left/fjr_controller/reference", "/diagnostics")
+    bag = Bag(Path(), {name: Topic(name, JOINT_STATE, "", count=1) for name in held}, True)
+    wanted = (STATES, "/joint_commands", "/fjr_controller/reference", "/diagnostics")
+    assert [bag.holds(name) for name in wanted] == [True, False, False, True]
+    left = replace(bag, namespace="/left")
+    assert [left.held(name).name for name in wanted] == [*held[1:]]
+    driver_outside = replace(bag, topics={name: bag.topics[name] for name in (held[0], *held[2:])})
+    assert [driver_outside.held(name).name for name in wanted] == [held[0], *held[2:]]
 
 
 def test_another_robots_bag_is_named_and_its_timing_shown(run: Path, tmp_path: Path) -> None:

@@ -17,9 +17,9 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import LONGEST, RecordError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.bag import FLOATS, Bag, read_bag
+from fjr_monitor.recording.bag import FLOATS, STATES, Bag, read_bag
 from fjr_monitor.recording.files import BagError, Times
-from fjr_monitor.recording.signals import ANSWERS, EFFORTS, STATES, first_of_each_stamp, match_stamps
+from fjr_monitor.recording.signals import ANSWERS, EFFORTS, first_of_each_stamp, match_stamps
 from fjr_msgs_py.names import motor_name, state_names
 
 from ..estimation.motion_record import MotionRecord, record_of_samples

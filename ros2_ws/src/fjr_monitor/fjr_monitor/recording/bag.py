@@ -17,7 +17,9 @@ from fjr_monitor.diagnosis.record import Table
 from fjr_monitor.recording import files
 from fjr_monitor.recording.files import BagError, Contents, Messages, Times, Topic
 from fjr_msgs_py.messages.cdr import FIELDS, joint_state_arrays
+from fjr_msgs_py.names import DIAGNOSTICS, JOINT_STATES
 
+STATES = f"/{JOINT_STATES}"
 JOINT_STATE, FLOATS = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
 AHEAD_MESSAGES, AHEAD_BYTES = 40_000, 2**26
 """What is read ahead, and sorted, at most: the first limit that is reached counts."""
@@ -67,12 +69,16 @@ class Bag:
         return replace(found, messages=[message for _, message in in_order(self.path, (found.name,))])
 
     def _full_name(self, name: str) -> str | None:
-        if self.namespace + name in self.topics:
-            return self.namespace + name
-        others = [] if self.namespace else [topic for topic in self.topics if topic.endswith(name)]
-        if len(others) > 1:
-            raise BagError(f"{self.path} holds {' and '.join(sorted(others))}; expected one, or its namespace")
-        return others[0] if others else None
+        for own in (self.namespace + name, *(name,) * (name == DIAGNOSTICS)):  # which all robots share
+            if own in self.topics:
+                return own
+        spaces = [] if self.namespace else [each.removesuffix(name) for each in self.topics if each.endswith(name)]
+        if STATES in self.topics:  # a namespace with states of its own is that of another robot
+            spaces = [space for space in spaces if space + STATES not in self.topics]
+        if len(spaces) > 1:
+            held = " and ".join(sorted(space + name for space in spaces))
+            raise BagError(f"{self.path} holds {held}; expected one, or its namespace")
+        return spaces[0] + name if spaces else None
 
     def table(self, topic: Topic, joints: Sequence[str]) -> JointTable:
         """Return the messages of a topic of JointStates, or of efforts in the order of `joints`, as arrays."""

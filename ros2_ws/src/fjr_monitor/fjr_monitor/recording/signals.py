@@ -17,15 +17,14 @@ from numpy.typing import NDArray
 from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.bag import STEP, Bag, JointTable, in_order
+from fjr_monitor.recording.bag import STATES, STEP, Bag, JointTable, in_order
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import BagError, Times
 from fjr_msgs_py import names
 
-STATES = f"/{names.JOINT_STATES}"
 ANSWERS, EFFORTS = f"/{names.JOINT_COMMANDS}", f"/{names.EFFORT_COMMANDS}"
 REFERENCE = names.REFERENCE.replace("~", f"/{CONTROLLER}")
-DIAGNOSTICS, EVENTS = "/diagnostics", f"/{CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
+EVENTS = f"/{CONTROLLER}/{names.EVENTS.removeprefix('~/')}"
 FIELDS = {STATES: ("position", "velocity", "effort"), REFERENCE: ("position", "velocity")}
 FIELDS |= dict.fromkeys((ANSWERS, EFFORTS), ("effort",))
 SCANNED_MESSAGES = 1000  # for joint names
@@ -170,7 +169,7 @@ class RunSignals:
         """
         named = dict.fromkeys(self._numbers, joints) | {STATES: names.state_names(joints)}
         ahead = dict.fromkeys(self._numbers, -END)  # send minus receive time
-        beside = filter(bag.holds, (DIAGNOSTICS, EVENTS))
+        beside = filter(bag.holds, (names.DIAGNOSTICS, EVENTS))
         for batch in bag.batches((*self._numbers, *beside), STATES, TOGETHER):
             for topic, numbers in self._numbers.items():
                 table = bag.table(batch[topic], named[topic])
@@ -178,8 +177,8 @@ class RunSignals:
                 times = {"stamp": table.stamp.view(float), "sent": table.publish_time.view(float)}
                 numbers.add(**{name: getattr(table, name) for name in FIELDS[topic]}, **times)
                 ahead[topic] = max([ahead[topic], *(m.publish_time - m.log_time for m in batch[topic].messages)])
-            for message in batch[DIAGNOSTICS].decoded if DIAGNOSTICS in batch else []:
-                for status in message.status:
+            for message in batch[names.DIAGNOSTICS].decoded if names.DIAGNOSTICS in batch else []:
+                for status in (each for each in message.status if f"/{each.name}".startswith(f"{bag.namespace}/")):
                     self.counters[status.name] = {pair.key: pair.value for pair in status.values}
             if EVENTS in batch:
                 self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
