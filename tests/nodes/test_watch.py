@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable
 
 import pytest
@@ -101,6 +102,14 @@ def test_bars_show_decades_of_errors_and_the_sign_of_efforts_up_to_the_limit() -
     assert sparkline((1.0, 1.0, 0.0), 2) == "█▁"
     assert sparkline((1.0, 0.99), 2) == "██", "less than a decade is a low bar"
     assert sparkline((), 5) == ""
+
+
+def test_names_and_sentences_of_other_nodes_do_not_steer_the_terminal() -> None:
+    evil = "a\x1b[2J\x1b]0;title\x07\x9b2Jé"
+    view = View("t", (JointLine(evil, 0.0),), health=(NodeHealth(evil, 1, evil, evil),))
+    shown = text(dataclasses.replace(view, events=(LoopEvent(1.0, 1, evil, evil),)), 120)
+    assert shown.count("a?[2J?]0;title??2Jé") == 6
+    assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", shown)
 
 
 def received(times: Iterable[tuple[int, int]], ahead: int = 0) -> list[tuple[int, int, int]]:

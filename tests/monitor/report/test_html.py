@@ -21,7 +21,7 @@ from fjr_monitor.report import comparison_page, html
 from fjr_monitor.report.html import STORED, Line, Plot, Pool, decimated, drawable
 from fjr_monitor.report.picture import SHADES
 from fjr_monitor.report.run_page import HALF, bins
-from fjr_msgs_py.console.output import aligned, milli, number, percent
+from fjr_msgs_py.console.output import Result, aligned, milli, number, percent, tell
 from fjr_msgs_py.console.provenance import without_home
 from fjr_msgs_py.node.reports import VERDICT_LEVELS
 
@@ -99,6 +99,12 @@ def test_numbers_are_formatted_readably(value: float | None, text: str) -> None:
     assert number(value) == text
     assert (number(0.5, "s"), percent(0.99861), milli(3.1e-4, "s")) == ("0.5 s", "99.86 %", "0.31 ms")
     assert number(99.6, "%", 2) == "100 %"
+
+
+def test_text_from_a_bag_does_not_steer_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    Result("column\tµ\nthe states name \x1b[2J", {"name": "\x1b[2J"}).show(as_json=False)
+    tell("\x9b2J\r–")
+    assert capsys.readouterr() == ("column\tµ\nthe states name ?[2J\n", "fjr: ?2J?–\n")
 
 
 def test_eight_joints_have_eight_colours_on_pages_and_pictures() -> None:

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fjr_monitor.watch.state import LEVELS, JointLine, NodeHealth, View
+from fjr_msgs_py.console.output import printable
 
 ERROR_DECADES = (-6.0, 0.0)  # log10 of rad, at an empty and a full bar
 WIDE, NARROW = 118, 80  # characters, for all columns, and for bars
@@ -123,7 +124,7 @@ def _cells(joint: JointLine, error_bar: int, effort_bar: int) -> dict[str, Rende
     effort_style = "red" if (share or 0) >= AT else "yellow" if (share or 0) >= NEAR else "cyan"
     efforts = "" if joint.effort is None else signed_bar(joint.effort, joint.limit or joint.peak, effort_bar)
     return {
-        NAME: Text(f"{joint.name} [m, mm, N]" if joint.prismatic else joint.name, style="bold"),
+        NAME: Text(printable(joint.name) + " [m, mm, N]" * joint.prismatic, style="bold"),
         POSITION: _signed(joint.position),
         VELOCITY: _signed(joint.velocity),
         DEFLECTION: NOTHING if joint.deflection is None else f"{1e3 * joint.deflection:+.2f}",
@@ -173,9 +174,9 @@ def _health(view: View) -> Panel:
 
 def _status(status: NodeHealth) -> Text:
     level = LEVELS[min(status.level, len(LEVELS) - 1)]
-    line = Text().append(f"{level:5} ", style=f"bold {COLOURS[level]}").append(status.name)
+    line = Text().append(f"{level:5} ", style=f"bold {COLOURS[level]}").append(printable(status.name))
     state = f" [{status.state}]" if status.state else ""
-    return line.append(f"{state}  {status.message}")
+    return line.append(printable(f"{state}  {status.message}"))
 
 
 def _events(view: View) -> Panel:
@@ -183,6 +184,6 @@ def _events(view: View) -> Panel:
     for event in view.events:
         level = LEVELS[min(event.level, len(LEVELS) - 1)]
         line = Text().append(f"{event.age:6.1f} s ago  ", style="dim")
-        line.append(event.kind, style=f"bold {COLOURS[level]}")
-        lines.append(line.append(f"  {event.sentence}"))
+        line.append(printable(event.kind), style=f"bold {COLOURS[level]}")
+        lines.append(line.append(printable(f"  {event.sentence}")))
     return Panel(Text("\n").join(lines), title="events", title_align="left", border_style="dim")

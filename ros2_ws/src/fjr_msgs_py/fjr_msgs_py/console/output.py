@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 import sys
 import threading
@@ -26,7 +27,7 @@ class Result:
 
     def show(self, as_json: bool) -> int:
         """Print the text, or one JSON document; return the exit code."""
-        print(json_text(self.values, indent=2) if as_json else self.text, flush=True)
+        print(json_text(self.values, indent=2) if as_json else printable(self.text), flush=True)
         return self.code
 
 
@@ -46,6 +47,11 @@ def finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def printable(text: str) -> str:
+    """Return the text with ? for control characters, by which names in a bag or message would steer the terminal."""
+    return re.sub(r"[^\n\t\x20-\x7e\xa0-\U0010ffff]", "?", text)
 
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -120,7 +126,7 @@ def progress_bar(line: str, form: str, **options: Any) -> Any:
 
 def note(line: str) -> None:
     """Print a line on stderr."""
-    print(line, file=sys.stderr, flush=True)
+    print(printable(line), file=sys.stderr, flush=True)
 
 
 def tell(sentence: str) -> None:
