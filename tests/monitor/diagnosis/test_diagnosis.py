@@ -194,7 +194,7 @@ def test_insufficient_data_give_unknown_with_a_reason() -> None:
     unanswered = diagnose(replace(whole, u=np.full_like(whole.u, np.nan)), LAW)
     assert (unanswered.kind, unanswered.causes) == ("unknown", ())
     few = {name: getattr(whole, name)[:30] for name in ("t", "position", "velocity", "jets", "u")}
-    assert "29 consecutive states" in diagnose(replace(whole, **few), LAW).sentence
+    assert "29 intervals between states" in diagnose(replace(whole, **few), LAW).sentence
     other = diagnose(replace(whole, u=whole.u + 0.1), LAW)
     assert "not those of the law" in other.sentence
 

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that rclpy serialised are read as they were written."""
+"""Messages that rclpy serialised are read as they were written; a definition that cannot be read is named."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 from rclpy.serialization import serialize_message
 from rosbags.serde import SerdeError
 from sensor_msgs.msg import JointState
 
-from fjr_monitor.recording.message_types import deserialize
+from fjr_monitor.recording import message_types
+from fjr_monitor.recording.message_types import SchemaError, definition, deserialize
 
 TYPE = "sensor_msgs/msg/JointState"
 
@@ -28,3 +31,15 @@ def test_other_bytes_are_refused(change) -> None:
     data = serialize_message(JointState(name=["a"], position=[1.0], velocity=[2.0], effort=[3.0]))
     with pytest.raises(SerdeError):
         deserialize(change(data), TYPE)
+
+
+@pytest.mark.parametrize("text", [b"other_msgs/Missing part", b"no = definition", b"int32 \xff"])
+def test_a_definition_that_cannot_be_read_is_named(
+    text: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "msg").mkdir()
+    (tmp_path / "msg" / "Odd.msg").write_bytes(text)
+    monkeypatch.setattr(message_types, "get_package_share_directory", lambda _: str(tmp_path))
+    for _ in range(2):  # a type is not registered by half
+        with pytest.raises(SchemaError, match="no definition of message type .* is installed here"):
+            definition("odd_msgs/msg/Odd")

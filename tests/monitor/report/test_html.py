@@ -144,7 +144,7 @@ OF_A_PAGE: dict[str, Any] = {
     "tables": [(HOSTILE, ["", HOSTILE], [[HOSTILE, HOSTILE]])],
     "effects": [(HOSTILE, HOSTILE, HOSTILE, 0.5, 0.5)],
     "influence_text": HOSTILE,
-    "json": html.as_json({HOSTILE: HOSTILE}),
+    "json": {HOSTILE: HOSTILE},
     "footer": HOSTILE,
 }
 

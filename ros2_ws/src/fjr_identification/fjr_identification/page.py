@@ -60,7 +60,7 @@ def write_page(
         hold_outs=[(f"Hold-out: {held.record}", hold_out_rows(held)) for held in hold_outs],
         hold_out_head=HOLD_OUT,
         sections=[(place, fit.record, DEFLECTION not in fit.measured) for place, fit in pairs],
-        json=html.as_json(identification.as_dict()),
+        json=identification.as_dict(),
     )
 
 

@@ -175,7 +175,7 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
             for one in summary.effects
         ],
         influence_text=INFLUENCE,
-        json=html.as_json(finite(asdict(summary))),
+        json=finite(asdict(summary)),
         footer=HOW,
     )
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import brief
 from fjr_core.runtime.events import Finding
+from fjr_msgs_py.console.output import plural
 
 from . import thresholds
 from .causes import CAUSES, MISMATCH, SATURATION, CauseErrors, StorageBudget
@@ -184,8 +185,9 @@ class BlockStatistics:
             causes = causes or ((SAMPLING,) if self._hold > self._slack else ())
             return violated(f"V grew to {grown:.2g} times its floor", causes, figures)
         if self._blocks < thresholds.FEWEST:
-            intervals, fewest = figures.get("intervals", self._blocks * BLOCK), thresholds.FEWEST * BLOCK
-            return unknown(f"{intervals:.0f} intervals between states with a command; expected {fewest}", figures)
+            seen = plural(int(figures.get("intervals", self._blocks * BLOCK)), "interval")
+            fewest = thresholds.FEWEST * BLOCK
+            return unknown(f"{seen} between states with a command; expected {fewest}", figures)
         if self._counted < max(thresholds.FEWEST, thresholds.JUDGED * self._blocks):
             return unknown("most efforts sent are not those of the law", figures)
         which = int(self._graded[1])

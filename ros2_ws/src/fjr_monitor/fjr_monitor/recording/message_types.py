@@ -15,7 +15,7 @@ from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from fjr_core.errors import FjrError
@@ -77,12 +77,12 @@ def _register(type_name: str) -> None:
     package, _, name = type_name.partition("/msg/")
     try:
         text = Path(get_package_share_directory(package), "msg", f"{name}.msg").read_text(encoding="utf-8")
-    except (PackageNotFoundError, OSError) as error:
+        types = get_types_from_msg(text, type_name)
+    except (PackageNotFoundError, OSError, ValueError, TypesysError) as error:  # another type must not end a recording
         raise SchemaError(f"no definition of message type {type_name} is installed here ({error})") from error
-    types = get_types_from_msg(text, type_name)
-    store.register(types)
     for nested in _nested_types(types):
         _register(nested)
+    store.register(types)
 
 
 def _nested_types(node: Any) -> set[str]:

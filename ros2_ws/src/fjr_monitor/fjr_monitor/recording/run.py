@@ -58,11 +58,6 @@ class RunData(Record):
         return self.certify(self)
 
     @property
-    def q_l(self) -> Array:
-        """Link positions (k, n) [rad]."""
-        return self.position[:, : self.u.shape[1]]
-
-    @property
     def V(self) -> Array:
         """Storage of the law (k,) [J] at each state, x_v = x."""
         return self.certificate.V

@@ -97,7 +97,7 @@ def _residual_torques(run: Recording, law: TrackingLaw) -> tuple[Array, Array, A
     for part in parts_of(run):
         found, first = innovations(part, law, valued=False), part.consecutive()
         torque = torques(law.robot, found.states[:, 0, : 2 * n], found.error[:, 2 * n :], found.dt)[:, :n]
-        columns = part.t[first] + found.dt / 2, part.q_l[first], torque
+        columns = part.t[first] + found.dt / 2, part.position[first, :n], torque
         parts.append([blocks_of(each, TOGETHER).mean(axis=1) for each in columns])
     t, q, torque = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return t, q, torque

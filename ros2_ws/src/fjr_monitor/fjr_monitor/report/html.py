@@ -238,6 +238,7 @@ def environment() -> Environment:
     )
     made.filters |= {"number": number, "percent": percent, "without_home": without_home}
     made.filters["sentence"] = lambda clause: f"{clause[:1].upper()}{clause[1:]}."
+    made.filters["as_json"] = lambda value: json.dumps(value, indent=2, ensure_ascii=False)
     made.filters["milliseconds"] = lambda microseconds: milli(1e-6 * microseconds, "s")
     made.globals |= {"HEADINGS": HEADINGS, "SCRIPT": SCRIPT, "STYLE": STYLE, "THREE": THREE}
     static = files("fjr_monitor") / TEMPLATES  # files that go into a page as they are, like those of uPlot
@@ -256,8 +257,3 @@ def write_page(
     moved = arm.packed(pool) if arm else None
     data = {"arrays": pool.arrays, "plots": packed, "arm": moved}
     write_text(path, environment().get_template(template).render(values, title=title, plots=data, arm=arm))
-
-
-def as_json(value: object) -> str:
-    """Return a value as indented JSON for the folded block at the end of a page."""
-    return json.dumps(value, indent=2, ensure_ascii=False)

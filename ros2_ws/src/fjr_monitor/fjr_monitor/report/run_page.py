@@ -35,7 +35,7 @@ def write_run_page(path: Path, data: Shown, report: Report, arm: ArmReplay | Non
     """Write the page of a run, with the arm in 3D if it is given; raises AssetError."""
     title = f"{report.scenario}: {report.stop.heading if report.stop else html.HEADINGS[report.status]}"
     plots = [plot for plot in RunPlots(data, report).all() if not plot.is_empty]
-    html.write_page(path, "run.html", title, plots, arm, report=report, json=html.as_json(report.as_json()))
+    html.write_page(path, "run.html", title, plots, arm, report=report, json=report.as_json())
 
 
 def draw_overview(name: str, data: Shown, report: Report, figure: Figure) -> None:
