@@ -197,6 +197,21 @@ def test_velocities_and_external_torques_are_estimated_if_not_recorded(
         assert np.abs(found[-100:]).max() < largest  # none acts in a free motion
 
 
+def test_velocities_of_one_side_that_are_not_numbers_are_estimated(
+    run: Path, tmp_path: Path, model: Scenario, whole: RunData
+) -> None:
+    """As the joint_state_broadcaster of ros2_control publishes them for an encoder without velocity."""
+
+    def change(topic: str, message: Any) -> Any:
+        links = [not name.endswith("_motor") for name in getattr(message, "name", ())]
+        return replace(message, velocity=np.where(links, np.nan, message.velocity)) if topic == STATES else message
+
+    recording, data = read(rewritten(run / "bag", tmp_path / "copy", change=change), model)
+    assert "observer" in recording.notes[0]
+    assert len(data.t) == len(whole.t)
+    assert np.isfinite(data.velocity).all()
+
+
 def test_a_missing_command_is_held_where_velocities_are_estimated(run: Path, tmp_path: Path, model: Scenario) -> None:
     """So does the robot; an estimate without effort for one sample would be slower by that much of the motor."""
     removed, answers = without(lambda _: True, "velocity"), count()

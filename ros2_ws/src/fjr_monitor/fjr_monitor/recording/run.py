@@ -133,7 +133,7 @@ class Recording:
             )
         self.reference_mismatch = reference.mismatch
         signals.close()
-        estimated = "no velocities were measured: positions and velocities are an observer's ({:g} rad/s)"
+        estimated = "an observer's positions and velocities ({:g} rad/s): velocities are not all measured, or not used"
         estimates = () if estimate is None else (estimated.format(estimate.bandwidth),)
         return (*estimates, *reference.notes(signals.has_reference))
 

@@ -72,18 +72,18 @@ class RecordedStates:
             position = np.hstack([table.position[:, :n], table.position[:, :n] + deflection])
         if self._needed is None:
             self._see(table, position)
-        known = np.isfinite(np.hstack([table.position, table.velocity])[:, self._needed])
-        good = np.asarray(known.all(axis=1))
+        good = np.asarray(np.isfinite(np.hstack([table.position, table.velocity])[:, self._needed]).all(axis=1))
         self.left_out += int((~good).sum())
         return replace(table, position=position, velocity=velocity, effort=table.effort[:, n:]).rows(good)
 
     def _see(self, table: JointTable, position: Array) -> None:
         """Decide by the first states which signals the bag holds."""
-        n, motors = self._n, not self._measured.by_torque and not np.isnan(table.position[:, self._n :]).all()
-        moving, sides = not np.isnan(table.velocity).all(), 2 * n if motors else n
+        n = self._n
+        sides = n if self._measured.by_torque or np.isnan(table.position[:, n:]).all() else 2 * n
+        moving = not self._wants_estimate and not np.isnan(table.velocity[:, :sides]).all(axis=0).any()
         self._needed = np.r_[:sides, 2 * n : 2 * n + sides if moving else 2 * n]
         self.known_torque = bool(np.isfinite(table.effort[:, n:]).any())
-        self.estimated = (self._wants_estimate or not moving) and not np.isnan(position).all(axis=0).any()
+        self.estimated = not moving and not np.isnan(position).all(axis=0).any()
         if np.isnan(position[:, n:]).all():
             self.no_motors = f"no motor side ({names.motor_name(self._joints[0])} and so on): no V, no power"
 

@@ -257,8 +257,8 @@ def energy(columns: Columns) -> Energy:
         known = part["watts"][np.isfinite(part["watts"][:, -1])]
         squares, joules, steps = squares + (known**2).sum(axis=0), part["joules"][-1], steps + len(known)
     supplied, *_, residual = np.sqrt(squares)
-    joules = joules if steps else np.full_like(joules, math.nan)
-    return Energy(*np.append(joules, residual / supplied if supplied else math.nan).tolist())
+    share = residual / supplied if supplied else math.nan
+    return Energy(*np.append(joules if steps else math.nan * joules, share).tolist())
 
 
 @dataclass(frozen=True)
