@@ -191,6 +191,9 @@ def test_a_collada_file_keeps_every_primitive_in_every_node(tmp_path: Path) -> N
     placed = [points, points @ turned + [5, 0, 7], 2 * points @ turned + [5, 0, 7]]
     expected = sorted(face for each in placed for face in tetrahedron(each))
     assert faces(read_mesh(tmp_path / "two.dae", (1.0, 1.0, 1.0))) == expected
+    (tmp_path / "inches.dae").write_text(COLLADA.replace('meter="1"', 'name="inch" meter="0.0254"'))
+    metres, inches = (read_mesh(tmp_path / name, (1.0, 1.0, 1.0)).vertices for name in ("two.dae", "inches.dae"))
+    np.testing.assert_allclose(inches, 0.0254 * metres, atol=1e-15)
 
 
 def with_nodes_that_multiply() -> str:

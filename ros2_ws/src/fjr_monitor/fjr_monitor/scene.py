@@ -215,7 +215,7 @@ def _mesh(path: Path) -> NDArray[np.float64]:
 
 
 def _collada(path: Path) -> NDArray[np.float64]:
-    """Return the corners (m, 3, 3) of all triangles of a COLLADA scene; raise ValueError beyond MOST_NODES.
+    """Return the corners (m, 3, 3) [m] of all triangles of a COLLADA scene; raise ValueError beyond MOST_NODES.
 
     pycollada skips what it cannot read, such as textures. trimesh has no limit of nodes.
     """
@@ -234,9 +234,9 @@ def _collada(path: Path) -> NDArray[np.float64]:
         for child in getattr(node, "children", ()):
             yield from placed(child, pose @ getattr(node, "matrix", np.eye(4)))
 
-    nodes = count(1)
-    document = Collada(str(path), ignore=[DaeError])
-    return np.concatenate([part for node in document.scene.nodes for part in placed(node, np.eye(4))])
+    nodes, document = count(1), Collada(str(path), ignore=[DaeError])
+    metres = np.diag([*[document.assetInfo.unitmeter or 1.0] * 3, 1.0])
+    return np.concatenate([part for node in document.scene.nodes for part in placed(node, metres)])
 
 
 def decimated(mesh: Mesh, most: int) -> Mesh:
