@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
+import threading
 from pathlib import Path
 
 import pytest
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
 
 from fjr_core.config.controller import motion_limits, safety
 from fjr_core.config.scenario import Scenario, load_scenario
@@ -20,6 +24,7 @@ from fjr_design.cli.check import check
 from fjr_monitor.watch.state import Watched
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.console.output import milli, number
+from nodes.harness import Ros
 from system.executables import fjr_here, fjr_json
 from tracking.tracked import sample
 from watch_text import text
@@ -109,6 +114,30 @@ def test_the_live_view_marks_a_prismatic_joint() -> None:
     watched.description(URDF)
     watched.state(0.0, {"lift": 0.1, "elbow": 0.2}, {})
     shown = text(watched.view(0.0))
+    assert "lift [m, mm, N]" in shown
+    assert "elbow [" not in shown
+
+
+def test_the_live_view_of_a_named_scenario_marks_it_without_a_robot_description(file: Path) -> None:
+    ended = threading.Event()
+    with Ros() as ros:
+        publisher = ros.add(Node("driver", context=ros.context)).create_publisher(JointState, "/joint_states", 10)
+
+        def publish() -> None:
+            for k in itertools.count():
+                message = JointState(name=["lift", "elbow"], position=[0.1, 0.2])
+                message.header.stamp.nanosec = k
+                publisher.publish(message)
+                if ended.wait(0.01):
+                    return
+
+        driver = threading.Thread(target=publish)
+        driver.start()
+        try:
+            shown = fjr_here("watch", str(file), "--once", "--timeout", "2")
+        finally:
+            ended.set()
+            driver.join()
     assert "lift [m, mm, N]" in shown
     assert "elbow [" not in shown
 

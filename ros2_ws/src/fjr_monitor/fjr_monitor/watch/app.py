@@ -76,6 +76,7 @@ def watch(
     rules = [f"__ns:=/{namespace.strip('/')}"] if namespace.strip("/") else []
     arguments = [part for rule in (*rules, *remaps) for part in ("-r", rule)]
     watched = Watched(f"fjr watch {namespace}", limits)
+    watched.description(urdf)  # until that of the loop comes
     with stoppable() as stop, own_node("fjr_watch", arguments) as node:
         display = _Display(FjrWatch(node, watched, controller), watched, stop)
         if once:
@@ -89,9 +90,8 @@ def watch(
 def _known(scenario: str) -> tuple[dict[str, float], str, Mapping[str, float]]:
     """Return the effort limits [N m] by joint, the URDF and the positions of locked joints [rad, m] of a scenario."""
     loaded = library.load(scenario, robot_only=True)
-    values, efforts = loaded.controller_values, loaded.settings.effort
-    pairs = zip(loaded.joints, np.asarray(efforts).tolist(), strict=True)
-    limits = {joint: limit for joint, limit in pairs if np.isfinite(limit)}
+    values, efforts = loaded.controller_values, np.asarray(loaded.settings.effort).tolist()
+    limits = {joint: limit for joint, limit in zip(loaded.joints, efforts, strict=True) if np.isfinite(limit)}
     return limits, description(values), locked_positions(values)
 
 
