@@ -581,6 +581,18 @@ def test_topics_in_a_namespace_are_found_and_two_are_ambiguous(run: Path, tmp_pa
     assert "two_report/report.html" in fjr_here(*arguments, "--namespace", "left")
 
 
+def test_what_is_known_of_a_run_is_not_that_of_the_run_whose_scenario_is_taken(run: Path, tmp_path: Path) -> None:
+    other, out = tmp_path / "other", tmp_path / "out"
+    other.mkdir()
+    shutil.copy(run / "scenario.yaml", other)
+    made = json.loads((run / "report.json").read_text())
+    (other / "report.json").write_text(json.dumps({**made, "planned_s": 0.5, "failure": "its disk was full"}))
+    fjr_here("report", str(run / "bag"), "--scenario", str(other / "scenario.yaml"), "--output", str(out))
+    (file,) = out.glob("*/report.json")
+    found = json.loads(file.read_text())
+    assert [found[key] for key in ("planned_s", "duration_s", "failure")] == [made["planned_s"], made["duration_s"], ""]
+
+
 def test_topics_of_two_robots_are_not_mixed() -> None:
     """The robot without a namespace has states only; diagnostics are those of all robots."""
     held = (STATES, f"/left{STATES}", "/left/joint_commands", "/left/fjr_controller/reference", "/diagnostics")

@@ -54,6 +54,8 @@ KNOWN: dict[str, Any] = {
     "provenance": dict,
 }
 """Entries of an earlier report that the bag lacks, with their types."""
+Source = tuple[str, Path, Path, dict[str, Any]]
+"""Name, scenario file, report folder, and entries of the earlier report of the run that a bag belongs to."""
 
 
 def report_run(
@@ -243,13 +245,11 @@ def report(
     for given in bags:  # a link, such as that to the newest run: the report names a folder that does not change
         path = given.parent / given.readlink() if given.is_symlink() else given
         try:
-            name, file, folder = source_of(path, scenario, output, [each.folder for each in summaries])
+            name, file, folder, known = source_of(path, scenario, output, [each.folder for each in summaries])
             size = sum(each.stat().st_size for each in files_of(bag_folder(path)) if each.is_file())
             if size > LARGE:
                 tell(f"reading {path}, {size / 1e6:.0f} MB")
-            known = dict(known_of(file.with_name(METRICS)))
             known["provenance"] = Provenance.read(known.get("provenance"))
-            known.pop("scenario", None)
             bag, robot = read_bag(path, namespace), load_scenario(file, user_code=False)
             summaries.append(report_bag(name, bag, robot, folder, known.pop("planned_s", None), **known))
         except (FjrError, OSError) as error:
@@ -279,8 +279,8 @@ def report(
     return Result("\n".join(lines), values, Exit.FAILED if failures else Exit.DONE)
 
 
-def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequence[Path]) -> tuple[str, Path, Path]:
-    """Return name, scenario file and report folder of a bag, none of those taken; raise ScenarioError without one."""
+def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequence[Path]) -> Source:
+    """Return the source of a report, in a folder that is not taken; raise ScenarioError for a bag without scenario."""
     above = [path, *path.resolve().parents[:2]]
     run = next((folder for folder in above if (folder / SCENARIO).is_file()), None)  # the run that the bag belongs to
     if scenario is not None:
@@ -292,18 +292,17 @@ def source_of(path: Path, scenario: str | None, output: Path | None, taken: Sequ
         raise library.ScenarioError(
             f"no scenario for {path}: expected {SCENARIO} next to the bag, or --scenario NAME or FILE"
         )
-    name = path.resolve().name if scenario is None else path.resolve().stem
-    if run is not None:
-        name = Path(known_of(run / METRICS).get("scenario", "")).name or run.resolve().name
+    known = {} if run is None else known_of(run / METRICS)
+    name = Path(known.pop("scenario", "")).name or (path.resolve().stem if run is None else run.resolve().name)
     default = run if run is not None else path.with_name(f"{path.resolve().stem}_report")
     folder = first = default if output is None else output / name
     number = 2
     while folder in taken:
         folder, number = first.with_name(f"{first.name}-{number}"), number + 1
-    return name, file, folder
+    return name, file, folder, known
 
 
-def known_of(path: Path) -> Mapping[str, Any]:
+def known_of(path: Path) -> dict[str, Any]:
     """Return the entries of an earlier report that the bag lacks; none if there is no valid one."""
     try:
         found = read_json(path)
