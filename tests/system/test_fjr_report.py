@@ -14,6 +14,7 @@ from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -309,7 +310,7 @@ def test_a_table_is_of_one_run_and_replaces_a_file_only_by_force(run: Path, tmp_
 
 
 def test_several_runs_show_the_parameters_that_differ(run: Path, tmp_path: Path) -> None:
-    folders = [shutil.copytree(run, tmp_path / each / "two_link") for each in ("one", "two")]
+    folders = [shutil.copytree(run, tmp_path / each / "two_link") for each in ("one", "#2: 50%")]
     changed, _ = library.as_run(run / "scenario.yaml", {"gains.Lambda_l": [5.0, 6.0]})
     stiffness = "\n/**/fjr_plant:\n  ros__parameters:\n    robot: {joint_stiffness: [900.0, 800.0]}\n"
     (folders[1] / "scenario.yaml").write_text(changed + stiffness)
@@ -324,6 +325,8 @@ def test_several_runs_show_the_parameters_that_differ(run: Path, tmp_path: Path)
         ["gains.Lambda_l", before, "[5.0, 6.0]"],
     ]
     page = (tmp_path / "comparison.html").read_text()
+    links = [unquote(link) for link in re.findall('href="([^"]*report.html)"', page) if "#" not in link]
+    assert [tmp_path / link for link in links] == [folder / "report.html" for folder in folders]
     assert f"<tr><th>gains.Lambda_l</th><td>{before}</td><td>[5.0, 6.0]</td></tr>" in page
     assert "Parameters that differ" not in fjr_here("report", str(folders[0]))
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -95,7 +96,7 @@ def write_comparison(path: Path, runs: Sequence[RunSummary], claim: Claim | None
     """Write the page of two runs or more; claim: what the first two show together. Raises AssetError."""
     labels = " · ".join(run.label for run in runs)
     plots = [*(transients(runs[:2]) if claim else []), *side_by_side_plots(runs)]
-    links = [Path(os.path.relpath(run.folder / PAGE, path.parent)).as_posix() for run in runs]
+    links = [quote(Path(os.path.relpath(run.folder / PAGE, path.parent)).as_posix()) for run in runs]
     notes = [f"{run.label}: {note}" for run in runs for note in (*run.notes, *run.report.missing)]
     title = claim.title if claim and claim.title else labels
     given: dict[str, Any] = {"labels": labels, "claim": claim, "runs": runs, "links": links, "colours": COLOURED}
