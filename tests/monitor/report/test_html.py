@@ -19,7 +19,7 @@ from jinja2 import UndefinedError
 from fjr_monitor.diagnosis.verdict import Diagnosis
 from fjr_monitor.report import comparison_page, html
 from fjr_monitor.report.html import STORED, Line, Plot, Pool, decimated, drawable
-from fjr_monitor.report.picture import SHADES
+from fjr_monitor.report.picture import SHADES, draw_plot, write_picture
 from fjr_monitor.report.run_page import HALF, bins
 from fjr_msgs_py.console.output import Result, aligned, milli, number, percent, tell
 from fjr_msgs_py.console.provenance import without_home
@@ -112,6 +112,12 @@ def test_eight_joints_have_eight_colours_on_pages_and_pictures() -> None:
     for scheme in style.split("@media")[:2]:  # light and dark
         assert len({re.search(rf"--{name}: (#\w+);", scheme)[1] for name in names}) == 8
     assert len({SHADES[name] for name in names}) == 8
+
+
+def test_names_with_dollars_are_no_formulas_in_a_picture(tmp_path: Path) -> None:
+    name, x = r"joint $\fra{$ $_1", np.linspace(0.0, 1.0, 5)
+    plot = Plot("p", name, name, x, [Line(name, x, dash=(6, 4)), Line(name, x + 1, dots=True)], y_label=name)
+    assert write_picture(tmp_path / "p.png", (6.0, 4.0), lambda figure: draw_plot(figure.subplots(), plot, 60))
 
 
 def test_a_page_shows_no_home_folder_but_other_folders_that_begin_alike(monkeypatch: pytest.MonkeyPatch) -> None:

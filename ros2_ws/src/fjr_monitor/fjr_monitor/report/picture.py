@@ -28,6 +28,7 @@ FEW = 6  # ticks of a logarithmic axis; with more, powers of ten only
 LEGEND: dict[str, Any] = {"fontsize": SMALL, "framealpha": 0.8, "edgecolor": "none", "markerscale": 3.0}
 STYLE = {
     "font.size": 9,
+    "text.parse_math": False,  # a name with dollars is no formula
     "axes.titlesize": 10,
     "axes.titlelocation": "left",
     "axes.titleweight": "bold",
@@ -98,8 +99,7 @@ def _draw_line(ax: Axes, plot: Plot, line: Line) -> None:
     values, colour = drawable(line.values, plot.y_log), SHADES[line.colour]
     label = line.label if line.dash or line.dots or (line.fill and len(plot.lines) > 1) else ""
     if line.fill:
-        least = plot.y_range[0] or 0.0
-        ax.fill_between(plot.x, least, values, step="post", color=colour, lw=0, label=label)
+        ax.fill_between(plot.x, plot.y_range[0] or 0.0, values, step="post", color=colour, lw=0, label=label)
     elif line.dots:
         ax.plot(plot.x, values, ".", ms=2.2, color=colour, alpha=0.5, rasterized=True, label=label)
     else:
