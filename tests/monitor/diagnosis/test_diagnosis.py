@@ -187,6 +187,15 @@ def test_effort_at_its_largest_rate_is_saturation() -> None:
     assert diagnose(replace(seen, effort_rate=20.0), LAW).causes == ("saturation",)
 
 
+@pytest.mark.parametrize(("error", "said"), [(0.0993, "99 mrad"), (0.0997, "0.1 rad"), (0.25, "0.25 rad")])
+def test_errors_of_about_100_mrad_are_written_without_a_power_of_ten(error: float, said: str) -> None:
+    assert JointTolerances.plain(1).largest(np.array([error])) == f"{said} at joint1"
+
+
+def test_an_empty_record_has_no_state() -> None:
+    assert "no state with a command" in diagnose(record().rows(slice(0)), LAW).sentence
+
+
 def test_insufficient_data_give_unknown_with_a_reason() -> None:
     whole = record()
     nothing = np.full_like(whole.velocity, np.nan)

@@ -56,7 +56,7 @@ def isolate(
         contradicted = velocity_faults(record, names)
         if contradicted:
             return contradicted
-        seen = residuals(replace(found, t=found.t - record.t[0]), late, law)
+        seen = residuals(replace(found, t=found.t - record.t[:1]), late, law)
         return () if seen is None else torque_fault(seen, names)
 
 

@@ -94,7 +94,7 @@ UNSURE = 0.35
 """Uncertainty, as a fraction of the sample period, of the instant at which a new effort takes effect."""
 
 
-LARGE = 0.1  # rad, m; smaller errors are written in thousandths
+LARGE = 0.0995  # rad, m; errors that are below 100 thousandths once rounded are written in these
 
 
 @dataclass(frozen=True)
