@@ -8,10 +8,11 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
+from queue import SimpleQueue
 
 from ..node.loading import SIGNALS, on_signals
 
@@ -52,16 +53,16 @@ def stoppable() -> Iterator[threading.Event]:
 
     A second signal has no effect: shutting down takes seconds and has its own time limits.
     """
-    stop = threading.Event()
-    previous = [signal.signal(number, lambda *_: stop.set()) for number in SIGNALS]
+    stop, received = threading.Event(), SimpleQueue[Callable[[], None]]()
+    threading.Thread(target=lambda: received.get()(), name="signals", daemon=True).start()
+    # A handler that set the event would wait for ever if it interrupts this thread where that holds the event's lock.
+    previous = [signal.signal(number, lambda *_: received.put(stop.set)) for number in SIGNALS]
     try:
         yield stop
     finally:
         for number, handler in zip(SIGNALS, previous, strict=True):
             signal.signal(number, handler)
-
-
-_PR_SET_PDEATHSIG = 1  # sys/prctl.h of Linux
+        received.put(lambda: None)
 
 
 def in_own_session() -> int | None:
@@ -78,7 +79,7 @@ def in_own_session() -> int | None:
     child = os.fork()
     if child == 0:
         os.setsid()
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG of sys/prctl.h
         if os.getppid() != parent:
             os._exit(Exit.INTERRUPTED)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

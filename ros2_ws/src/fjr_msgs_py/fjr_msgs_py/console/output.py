@@ -67,8 +67,7 @@ def number(value: float | None, unit: str = "", digits: int = 3) -> str:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         text = f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPT)}"
     else:
-        text = f"{value:.{digits}g}"
-        text = f"{value:.0f}" if "e" in text else text  # of 1000 or more once it is rounded
+        text = f"{value:.{digits}g}" if size < 10**digits - 0.5 else f"{value:.0f}"
     return f"{text} {unit}" if unit else text
 
 
