@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -263,9 +264,10 @@ class Units(NamedTuple):
     acceleration: str
     effort: str
 
-    def of(self, unit: str) -> str:
-        """Return the unit of this joint in place of that of a revolute one, such as N m s/rad."""
-        return unit if self == REVOLUTE else unit.replace("kg m^2", "kg").replace("N m", "N").replace("rad", "m")
+    def of(self, text: str) -> str:
+        """Return a text, which has the units of a revolute joint such as N m s/rad, in those of this joint."""
+        pairs = () if self == REVOLUTE else ((r"\bN m\b", "N"), (r"\b(m?)rad\b", r"\1m"), (r"\bkg m\^2", "kg"))
+        return reduce(lambda said, pair: re.sub(pair[0], pair[1], said), pairs, text)
 
 
 REVOLUTE = Units("rad", "rad/s", "rad/s^2", "N m")

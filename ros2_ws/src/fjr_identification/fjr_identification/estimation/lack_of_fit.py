@@ -34,7 +34,7 @@ from .estimation_problem import Estimation
 from .filtered_fit import BLOCK, FEWEST_BLOCKS, FilteredEquations, Side
 from .motion_record import decimated, inner, shifted
 from .parameters import HARDENING, LOAD, RATIO
-from .verdicts import CONFIDENCE, Estimates, in_units
+from .verdicts import CONFIDENCE, Estimates
 
 SHARE = 0.3  # of the squares that the equation leaves, which a term explains
 APART = 0.1  # between the shares of a dead zone and a cubic term of which the larger one is the cause
@@ -125,7 +125,7 @@ def seen(setup: Estimation, z: Array) -> dict[str, Seen]:
         wrong = wrong or _of_position(equations, sides, j)
         c, deviation, blocks = _compliance(setup, sides, j)
         reach = float(student.ppf(CONFIDENCE, blocks - 1)) * deviation
-        joints[joint] = Seen(in_units(setup.robot, j, wrong), K / (c + reach) if abs(c) < reach else 0.0)
+        joints[joint] = Seen(setup.robot.units[j].of(wrong), K / (c + reach) if abs(c) < reach else 0.0)
     return joints
 
 

@@ -28,16 +28,13 @@ value: spurious information is estimated generously, which may make a parameter 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.stats import norm, t
 
-from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, WEAK, Estimate, Fit, Identification, natural
 
@@ -61,7 +58,6 @@ STILL = 2e-3  # rad; a joint that moves less stands still
 WORSE = 1.1  # root mean square residual of some signal, relative to that of the most likely parameters
 LESS_LIKELY = 2.0  # of -log L, half the 95 % quantile of chi^2
 CORRELATED = 0.9
-PRISMATIC = {r"\bN m\b": "N", r"\b(m?)rad\b": r"\1m", r"\bkg m\^2": "kg"}  # what units of a revolute joint become
 WITHOUT_LINK = {
     **dict.fromkeys(
         ("joint_stiffness", HARDENING, "link_damping", "link_coulomb_friction", "link_static_friction"),
@@ -281,7 +277,7 @@ def estimates_at(
             verdict = IDENTIFIED if sd[k] <= SHARP * size and not why else WEAK
         why = why or reason(name, verdict, setup.records, -1 if name in PAYLOAD else j, partners.get(k, ""))
         joint = "" if name in PAYLOAD else joints[j]
-        unit, why = (in_units(setup.robot, j, text) for text in (KINDS[name].unit, why))
+        unit, why = (setup.robot.units[j].of(text) for text in (KINDS[name].unit, why))
         estimates.append(Estimate(name, joint, unit, value, low, high, prior, verdict, why))
     return Estimates(tuple(estimates), mean, covariance)
 
@@ -297,12 +293,6 @@ def _partners(setup: Estimation, covariance: Array) -> Mapping[int, str]:
     np.fill_diagonal(correlation, 0.0)
     most = np.argmax(correlation, axis=1)
     return {k: names[most[k]] for k in range(len(names)) if correlation[k, most[k]] > CORRELATED}
-
-
-def in_units(robot: Robot, j: int, text: str) -> str:
-    """Return a text, which has the units of a revolute joint, in those of joint j."""
-    units = PRISMATIC if any(robot.prismatic[j : j + 1]) else {}
-    return reduce(lambda text, pair: re.sub(pair[0], pair[1], text), units.items(), text)
 
 
 def reason(name: str, verdict: str, records: Sequence[MotionRecord], j: int, partner: str) -> str:
