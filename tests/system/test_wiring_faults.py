@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.wiring import NumericCheck, WiringFault
+from core.oracles.wiring import NumericCheck, WiringFault, torque_tolerance
 from diagnosis_benchmark.cases import JOINTS, Case, nominal
 from diagnosis_benchmark.faults import PAIRS, ROBOTS, WIRING, joints_of
 from diagnosis_benchmark.lock_step import Fault
@@ -25,6 +25,7 @@ from fjr_design.batch.draws import Draws
 from fjr_monitor.diagnosis.fault_isolation import WiringCheck
 from fjr_monitor.diagnosis.record import Record
 from fjr_msgs_py.scenarios import library
+from system.test_other_joints import URDF
 
 pytestmark = pytest.mark.system
 FIRST = {"velocity sign": 26, "velocity of another joint": 26}  # samples; other faults are found within 20
@@ -129,6 +130,18 @@ def test_both_agree_where_all_joints_are_suspected(robot: str, change: Fault) ->
     found = compared(case, Stop.of(case, LASTING).run)
     if robot == "two_link" and change.effort is np.negative:
         assert found == WiringFault("effort sign", (0, 1), "motor").finding(NAMES).sentence
+
+
+def test_tolerated_torques_of_a_joint_are_those_of_joints_with_its_unit() -> None:
+    """A tenth of the weight, and an offset of 1 mrad or 0.1 mm: a lift weighs much, its spring deflects little."""
+    K, weight = np.array([4e5, 300.0]), np.array([4.0 * 9.81, 0.1 * 9.81])  # N, N m
+    arm = fjr.robot_from_urdf(URDF, ["lift", "elbow"], K, [1.0, 0.05])
+    check = WiringCheck(arm, ("lift", "elbow"))
+    for k in range(20):
+        check.see(1e-3 * k, np.zeros(4), np.zeros(4))
+        check.sent(np.zeros(2))
+    np.testing.assert_allclose(list(check.state.constant), 0.1 * weight + [1e-4, 1e-3] * K, rtol=1e-9)
+    np.testing.assert_allclose(torque_tolerance(arm, np.zeros(4)), list(check.state.constant), rtol=1e-9)
 
 
 def test_check_continues_without_motion() -> None:

@@ -90,7 +90,7 @@ SCALE = 0.08
 LAGS, LAG = 5, 0.5
 LATE = 0.5
 MOTION = 5
-WEIGHT, OFFSET = 0.1, 1e-3
+WEIGHT, OFFSET, SHIFT = 0.1, 1e-3, 1e-4
 ROUNDING = 0.01
 DOUBT = 1.5
 FREEDOM, REST = 0.4, 0.7
@@ -169,10 +169,14 @@ def distances(root: Array, difference: Array) -> Array:
 def torque_tolerance(robot: Robot, q: Array) -> Array:
     """Return the standard deviation (n,) [N m] of constant torques: friction, payload, offsets of encoders.
 
-    The largest weight is that at the links' positions in q (2n,) or with one of them turned by pi / 2.
+    The largest weight is that at the links' positions in q (2n,) or with one of them turned by pi / 2, of the revolute
+    joints [N m], and of the prismatic ones [N].
     """
-    turned = q[: robot.n] + np.pi / 2 * np.eye(robot.n + 1, robot.n)
-    return np.asarray(WEIGHT * np.abs([robot.grad_P_l(each) for each in turned]).max() + OFFSET * np.diag(robot.K))
+    slides = np.array(robot.prismatic or (False,) * robot.n)
+    turned = q[: robot.n] + np.pi / 2 * np.eye(robot.n + 1, robot.n) * ~slides
+    weight = np.abs([robot.grad_P_l(each) for each in turned]).max(axis=0)
+    most = [max(weight[kind], default=0.0) for kind in (~slides, slides)]
+    return np.where(slides, WEIGHT * most[1] + SHIFT * np.diag(robot.K), WEIGHT * most[0] + OFFSET * np.diag(robot.K))
 
 
 @dataclass(frozen=True)

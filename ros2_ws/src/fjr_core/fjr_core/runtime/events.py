@@ -12,8 +12,7 @@ from typing import Any
 
 from .safety_settings import Settings
 
-NEVER = -(2**63)
-"""FJR_NEVER: no stamp."""
+NEVER = -(2**63)  # FJR_NEVER: no stamp
 
 STOPS, STARTS_REFUSED = "stops", "starts refused"
 """Kinds of the events that end tracking."""

@@ -249,6 +249,7 @@ def write_robot(model: Any, robot: Robot) -> None:
     """Write the constant matrices of a robot to a struct fjr_model, by rows."""
     for name in ("K", "M_m", "B_m", "D_l", "D_m"):
         setattr(model, name, np.ravel(getattr(robot, name)).tolist())
+    model.slides = robot.prismatic or (False,) * robot.n
     model.cubic = [0.0] * robot.n if robot.cubic is None else robot.cubic.tolist()
     if robot.torsion is not None:
         model.pieces = len(robot.curves[0].edge)

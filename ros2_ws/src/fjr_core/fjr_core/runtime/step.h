@@ -96,6 +96,7 @@ struct fjr_model {
   double compliance[FJR_N * FJR_N];    /* K^-1 by rows [rad/(N m)] */
   double K[FJR_N * FJR_N], M_m[FJR_N * FJR_N], B_m[FJR_N * FJR_N]; /* by rows, of the check of the wiring */
   double D_l[FJR_N * FJR_N], D_m[FJR_N * FJR_N];
+  int32_t slides[FJR_N];                                     /* 1: a prismatic joint, in m and N */
   double cubic[FJR_N]; /* of springs K zeta + cubic zeta^3, whose K is diagonal [N m/rad^3] */
   int32_t pieces; /* of torsion curves (model/springs.py), 0: none; fields of these pieces by rows: */
   double edge[FJR_PIECES * FJR_N], torsion[FJR_PIECES * FJR_N]; /* rad, N m */

@@ -235,17 +235,18 @@ static void conclude(struct fjr_wiring* w, struct fjr_wiring_fault fault) {
 }
 
 /* Standard deviation of constant torques: friction, payload, offsets of encoders. The largest weight is that at the
- * first positions, or with one link turned by pi / 2. */
+ * first positions, or with one link turned by pi / 2; forces and torques are not compared. */
 static int estimate_constant(const struct fjr_model* m, struct fjr_wiring* w, const double* q_l) {
-  double turned[N], weight[N], most = 0;
+  double turned[N], weight[N], most[2] = {0, 0}; /* of revolute, of prismatic joints */
   for (int k = 0; k <= N; ++k) {
     copy(turned, q_l, N);
-    if (k < N) turned[k] += 1.5707963267948966;
+    if (k < N && !m->slides[k]) turned[k] += 1.5707963267948966;
     m->arg[0] = turned, m->res[0] = weight;
     if (m->gravity(m->arg, m->res, m->iw, m->w, 0)) return 0;
-    for (int i = 0; i < N; ++i) most = fmax(most, fabs(weight[i]));
+    for (int i = 0; i < N; ++i) most[m->slides[i]] = fmax(most[m->slides[i]], fabs(weight[i]));
   }
-  for (int i = 0; i < N; ++i) w->constant[i] = WEIGHT * most + OFFSET * m->K[i * N + i];
+  for (int i = 0; i < N; ++i)
+    w->constant[i] = WEIGHT * most[m->slides[i]] + (m->slides[i] ? SHIFT : OFFSET) * m->K[i * N + i];
   w->has_constant = 1;
   return 1;
 }

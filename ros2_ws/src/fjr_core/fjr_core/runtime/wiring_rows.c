@@ -17,8 +17,9 @@
 #define LAGS 5         /* longest delay of an effort or a velocity in samples .. */
 #define LAG 0.5        /* .. and weight of each earlier effort */
 #define LATE 0.5       /* delay of a velocity beyond whole samples */
-#define WEIGHT 0.1     /* constant torque relative to the largest weight .. */
-#define OFFSET 1e-3    /* .. and offset of an encoder [rad] */
+#define WEIGHT 0.1     /* constant torque relative to the largest weight of joints of the same kind .. */
+#define OFFSET 1e-3    /* .. and offset of an encoder [rad] .. */
+#define SHIFT 1e-4     /* .. or of that of a prismatic joint [m], whose springs deflect far less */
 #define ROUNDING 0.01  /* error of the means over an interval, relative to both sides */
 #define DOUBT 1.5      /* factor on the estimated variance of noise, which is uncertain after few samples */
 #define FREEDOM 0.4    /* degrees of freedom of this estimate per fourth difference, as neighbours are correlated .. */
