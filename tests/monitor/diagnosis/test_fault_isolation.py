@@ -26,6 +26,7 @@ from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.torque_faults import UNKNOWN, FittedFault, torque_fault, unexplained
 from fjr_monitor.diagnosis.verdict import EXTERNAL, Diagnosis
 from monitor.diagnosis.loops import PERIOD, Sensed, recorded
+from system.test_other_joints import URDF
 
 DURATION = 1.5
 MODEL = fjr.planar_two_link()
@@ -101,6 +102,37 @@ def test_spring_that_hardens_has_its_cubic_stiffness() -> None:
     (finding,) = verdict(replace(MODEL, cubic=(2e3, 0.0))).findings
     assert (finding.kind, finding.joint, finding.unit) == ("cubic stiffness", "shoulder", "N m/rad^3")
     assert finding.size == pytest.approx(2e3, rel=0.05)
+
+
+@cache
+def lift(forearm: float = 1.0, **damping: tuple[float, float]) -> fjr.Robot:
+    """An elbow on a lift, a revolute joint on a prismatic one."""
+    urdf = URDF.replace('<mass value="1.0"/>', f'<mass value="{forearm}"/>')
+    return fjr.robot_from_urdf(urdf, ["lift", "elbow"], [4e4, 300.0], [3.0, 0.05], **damping)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "joint", "size", "unit"),
+    [
+        ({"acting": lambda u: u + [5.0, 0.0]}, "constant torque", "lift", 5.0, "N"),
+        ({"robot": lift(motor_damping=(30.0, 0.0))}, "viscous friction", "lift", 30.0, "N s/m"),
+        ({"robot": lift(motor_damping=(0.0, 0.3))}, "viscous friction", "elbow", 0.3, "N m s/rad"),
+        ({"robot": lift(forearm=1.5)}, "gravity load", "elbow", 0.5 * 9.81, "N"),  # of which the lift carries most
+        ({"robot": lift(), "sensed": lambda q, dq: (q + [2e-4, 0, 0, 0], dq)}, "position offset", "lift", 2e-4, "m"),
+    ],
+)
+def test_a_fault_of_an_arm_with_a_prismatic_joint_has_the_unit_of_its_joint(
+    fault: dict[str, Any], kind: str, joint: str, size: float, unit: str
+) -> None:
+    law = fjr.TrackingLaw(lift(), fjr.synthesize(lift(), 6.0, PERIOD))
+    reference = fjr.Sine([0.05, 0.4], [3.0, 3.0])
+    start = lift().state(0.0, np.linalg.solve(lift().K, lift().grad_P_l(np.zeros(2))), [0.15, 1.2], [0.15, 1.2])
+    seen = recorded(law, reference, start, round(DURATION / PERIOD), **fault)
+    (finding,) = diagnose(seen, law, axes=replace(JointTolerances.plain(2), names=("lift", "elbow"))).findings
+    kinds = finding.kind.split(" or ")
+    assert (kind in kinds, finding.joint, finding.unit) == (True, joint, unit), finding.sentence
+    assert kind != kinds[0] or finding.size == pytest.approx(size, rel=0.05)
+    assert "eccentricity" not in finding.sentence
 
 
 def test_wrong_mass_is_a_gravity_load_on_its_link() -> None:

@@ -25,8 +25,7 @@ from . import thresholds
 
 BEFORE = 2 * thresholds.OLDEST + 2
 """Intervals before a part of which the sent efforts may still act in it."""
-FEWEST_CHANGES = 20
-"""Blocks into which a short record is divided."""
+FEWEST_CHANGES = 20  # blocks into which a short record is divided
 AFTER = thresholds.CLIPPED_FOR - 1
 """Intervals after a part that decide whether a motor was saturated in it."""
 _COLUMNS = thresholds.OLDEST + 4

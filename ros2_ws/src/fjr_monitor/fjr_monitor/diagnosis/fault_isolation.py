@@ -26,19 +26,13 @@ from .residuals import FEWEST_BLOCKS, deviation, explained_share, residuals
 from .thresholds import BLOCK, LONGEST_GAP
 from .torque_faults import EXPLAINED, UNKNOWN, torque_fault
 
-CONTRADICTION = 5.0
-"""Smallest difference of a wrong velocity from the slope of its position, in standard deviations."""
+CONTRADICTION = 5.0  # standard deviations; smallest difference of a wrong velocity from the slope of its position
 JUMPS, OTHERS = 2, 0.01
 """Blocks in which a position jumps, and the share of the power that others have, if an encoder slips."""
-DISCRETISED = 5e-4
-"""Difference relative to the speed that is attributed to discretisation."""
-REVERSED = (-3.0, -1.4)
-"""Range of the relative error of scale that is reported as a wrong sign."""
-
-MOST_STATES = 10_000
-"""Largest number of states used."""
-STARTING = 400
-"""Number of states at the start of a record in which the wiring is checked."""
+DISCRETISED = 5e-4  # difference relative to the speed that is attributed to discretisation
+REVERSED = (-3.0, -1.4)  # range of the relative error of scale that is reported as a wrong sign
+MOST_STATES = 10_000  # used of a record
+STARTING = 400  # states at the start of a record in which the wiring is checked
 
 
 def isolate(

@@ -27,16 +27,12 @@ SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 PARAMETERS = 4 + len(SECOND_MOMENTS)
 LINK, MOTOR, JOINT = "link", "motor", "joint"
 CABLE = "pull of a cable"
-SMOOTHING = 0.01
-"""Speed [rad/s] below which the sign of a velocity is uncertain."""
-FREEPLAYS = np.geomspace(0.02, 2.0, 40)
-"""Tested half-widths of backlash relative to the RMS deflection."""
+SMOOTHING = 0.01, 1e-3  # rad/s, m/s; speed of revolute and prismatic joints below which its sign is uncertain
+FREEPLAYS = np.geomspace(0.02, 2.0, 40)  # tested half-widths of backlash, relative to the RMS deflection
 LIMITS = np.geomspace(2e-3, 0.95, 60)  # of an effort, relative to the largest one that is sent
 CLIPPED = 5  # smallest number of blocks in which an effort exceeds its limit
-LONGEST_ARM = 1.5
-"""Largest considered distance [m] of a payload from its joint."""
-STEPS = 60
-"""Of the fit of a payload."""
+LONGEST_ARM = 1.5  # m; largest considered distance of a payload from its joint
+STEPS = 60  # of the fit of a payload
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +66,21 @@ def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
     n = seen.robot.n
     for j, units in enumerate(seen.robot.units):
         of_sides = *_of_side(seen, j, LINK, j), *_of_side(seen, j, MOTOR, n + j)
-        for each in (*of_sides, *_of_spring(seen, j), *_of_motor(seen, j, n + j), *_of_body(seen, j)):
+        for each in (*of_sides, *_of_spring(seen, j), *_of_motor(seen, j, n + j)):
             yield replace(each, unit=units.of(each.unit))
+        yield from _of_body(seen, j, units.of("kg m^2"))
 
 
 def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
     """Return constant torque and frictions of one side of a joint; offset, gain, eccentricity, drift of its encoder."""
     dq, damping = seen.dq[:, channel], (seen.robot.D_l if side == LINK else seen.robot.D_m)[j, j]
+    slides = seen.robot.units[j].position == "m"
 
     def at_least(least: float) -> Callable[[Array], float | None]:
         return lambda fitted: float(fitted[0]) if fitted[0] > least else None  # else friction would add energy
 
     yield Hypothesis("constant torque", j, side, "N m", seen.placed({channel: np.ones_like(dq)}))
-    coulomb = seen.placed({channel: -np.tanh(dq / SMOOTHING)})
+    coulomb = seen.placed({channel: -np.tanh(dq / SMOOTHING[slides])})
     yield Hypothesis("Coulomb friction", j, side, "N m", coulomb, at_least(0.0))
     yield Hypothesis("viscous friction", j, side, "N m s/rad", seen.placed({channel: -dq}), at_least(-damping))
     if side == LINK:
@@ -95,7 +93,8 @@ def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypot
     yield Hypothesis("position offset", j, side, "rad", column(one, 0 * one))
     yield Hypothesis("encoder gain", j, side, "%", column(q, dq), lambda share: 100 * float(share[0] / (1 - share[0])))
     turn = np.concatenate([column(np.sin(q), np.cos(q) * dq), column(np.cos(q), -np.sin(q) * dq)], axis=2)
-    yield Hypothesis("eccentricity", j, side, "rad", turn, lambda fitted: float(np.hypot(*fitted)))
+    if not slides:  # a linear encoder has no disc
+        yield Hypothesis("eccentricity", j, side, "rad", turn, lambda fitted: float(np.hypot(*fitted)))
     yield Hypothesis("encoder drift", j, side, "rad/s", column(t, one))
 
 
@@ -132,24 +131,28 @@ def _of_motor(seen: Residuals, j: int, channel: int) -> Iterator[Hypothesis]:
     yield Hypothesis("inertia", j, MOTOR, "kg m^2", seen.placed({channel: -seen.ddq[:, channel]}))
 
 
-def _of_body(seen: Residuals, j: int) -> Iterator[Hypothesis]:
-    """Return a point mass on a link and the inertia of a link about its joint."""
+def _of_body(seen: Residuals, j: int, unit: str) -> Iterator[Hypothesis]:
+    """Return a point mass on a link and the inertia of a link about its joint, or its mass in kg along a slide."""
     n, links = seen.robot.n, seen.robot.links
     if links.end_effector is None:
-        yield Hypothesis("inertia", j, LINK, "kg m^2", seen.placed({j: -seen.ddq[:, j]}))
+        yield Hypothesis("inertia", j, LINK, unit, seen.placed({j: -seen.ddq[:, j]}))
         return
     torque = -seen.means(body_torques(links, j, seen.q[:, :n], seen.dq[:, :n], seen.ddq[:, :n]))
     columns = np.zeros((len(torque), 2 * n, torque.shape[2]))
     columns[:, :n] = torque
     still = np.zeros((len(seen.q), n))
     weights = body_torques(links, j, seen.q[:, :n], still, still)[:, :, :4]
+    efforts = np.array([each.effort for each in seen.robot.units])
+    effort = str(efforts[np.abs(weights[:, :, 0]).max(axis=0).argmax()])  # of the joint that a mass loads most
+    of_effort = weights[:, efforts == effort]
 
     def largest(fitted: Array) -> float:
-        return float(np.abs(weights @ fitted[:4]).max())  # weight torque at any joint
+        return float(np.abs(of_effort @ fitted[:4]).max())  # weight at any joint with this unit
 
-    yield Hypothesis("gravity load", j, LINK, "N m", columns[:, :, :4], largest)
-    yield Hypothesis("gravity load", j, LINK, "N m", columns, largest, _point_mass)
-    yield Hypothesis("inertia", j, LINK, "kg m^2", columns[:, :, 4:7], lambda fitted: float(fitted.sum()))
+    yield Hypothesis("gravity load", j, LINK, effort, columns[:, :, :4], largest)
+    yield Hypothesis("gravity load", j, LINK, effort, columns, largest, _point_mass)
+    parts = columns[:, :, :1] if unit == "kg" else columns[:, :, 4:7]
+    yield Hypothesis("inertia", j, LINK, unit, parts, lambda fitted: float(fitted.sum()))
 
 
 def _point_mass(A: Array, c: Array) -> Array:

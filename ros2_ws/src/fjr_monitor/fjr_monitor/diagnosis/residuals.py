@@ -25,12 +25,10 @@ from fjr_core.numerics.checks import Array
 from .record import Innovations, blocks_of
 from .thresholds import BLOCK
 
-FEWEST_BLOCKS = 20
-"""Smallest number of blocks of a regression."""
+FEWEST_BLOCKS = 20  # smallest number of blocks of a regression
 FLOOR = 1e-3
 """Residual relative to the torques of its equation that is attributed to rounding and discretisation."""
-STEP = 1e-4
-"""Of differences of the prediction [rad, rad/s]."""
+STEP = 1e-4  # of differences of the prediction [rad, rad/s]
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,7 @@ ADVANTAGE = 0.7
 """Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
 LIKELIER = 15.0
 """Smallest difference of twice the logarithm of the likelihoods of two kinds that noise does not explain."""
-MOST_KINDS = 3
-"""Most kinds of fault that are named together."""
+MOST_KINDS = 3  # most kinds of fault that are named together
 SLIP = "encoder slip"
 ONSETS, EARLIEST = 60, 0.1
 """Instants at which a fault may begin, and the share of a record before which it acts all the time."""
