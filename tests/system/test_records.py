@@ -22,7 +22,7 @@ from rosbags.rosbag2 import StoragePlugin
 from docs.pages import ROOT
 from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import FjrError, MissingPackageError, ParameterError, RecordError
-from fjr_core.model.robot import Robot
+from fjr_core.model.robot import PRISMATIC, Robot
 from fjr_design.uncertainty.posterior import DEFLECTION, NAMES, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
@@ -88,7 +88,13 @@ def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_o
         (fit,) = found[-1].fits
         assert set(fit.measured) == {DEFLECTION}  # nothing is simulated
         assert np.all(fit.explained[1:3] > 0.98)
-        assert [plot.title[:2] for plot in fit_plots(fit, AXES, "record-0")[:4]] == ["a1", "a2", "a3", "Re"]
+        assert [plot.title[:2] for plot in fit_plots(fit, AXES, kr300.units, "record-0")[:4]] == [
+            "a1",
+            "a2",
+            "a3",
+            "Re",
+        ]
+        assert "[mm]" in fit_plots(fit, AXES, (PRISMATIC,) * len(AXES), "record-0")[0].y_label
         compared = hold_out(found[-1], held_out, kr300, prior, options)
         model, rigid, _ = compared.shares.T
         assert np.all(model[:3] < 0.25)  # 1: joints without elasticity and without skew
@@ -327,6 +333,10 @@ COMPLETE = {
         },
         EFFORT: {"shoulder": ("shoulder/effort (N m)", 1.0), "elbow": ("elbow/effort (N m)", 1.0)},
         TORQUE: {"elbow": ("elbow/sensor/torque (N m)", 1.0)},
+    },
+    "time_s,shoulder_motor_deg,elbow_motor_mm,shoulder_motor_effort_nm,elbow_motor_effort_kn": {  # a prismatic elbow
+        MOTOR: {"shoulder": ("shoulder_motor_deg", DEG), "elbow": ("elbow_motor_mm", 1e-3)},
+        EFFORT: {"shoulder": ("shoulder_motor_effort_nm", 1.0), "elbow": ("elbow_motor_effort_kn", 1e3)},
     },
     "time_s,linkAngle1Deg,linkAngle2Deg,motorTorque1Nm,motorTorque2Nm": {
         LINK: {"shoulder": ("linkAngle1Deg", DEG), "elbow": ("linkAngle2Deg", DEG)},

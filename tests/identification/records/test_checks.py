@@ -201,6 +201,19 @@ def test_a_gear_ratio_is_refused_without_and_with_hysteresis(torque: float, slip
         assert [each.kind for each in found] == ["gear_ratio"], ratio
 
 
+def test_what_contradicts_a_record_of_a_prismatic_joint_is_said_in_its_units() -> None:
+    record, said = slipping(1e-9, 5e-3, 1.0), []
+    jumping = replace(record, q_l=record.q_l + 0.5 * (np.arange(len(record.u)) == 500)[:, None])
+    resting = replace(record, q_l=0 * record.q_l, q_m=0 * record.q_m)
+    for slides in (False, True):
+        robot = replace(fjr.single_link(31.0), prismatic=(slides,))
+        said.append([findings(each, robot)[0].sentence for each in (jumping, resting)])
+    revolute, prismatic = said
+    assert "q_l of joint1 jumps by" in revolute[0]
+    assert "moves by more than 0 rad" in revolute[1]
+    assert prismatic == [each.replace(" rad", " m") for each in revolute]
+
+
 def test_smooth_peaks_of_a_coarse_effort_are_not_clipped() -> None:
     table = two_joints().of(*BOTH)
     slow = 40.0 * np.sin(2 * np.pi * 0.25 * table.t)[:, None]

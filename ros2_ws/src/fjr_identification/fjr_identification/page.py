@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fjr_core.model.robot import Units
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Estimate, Fit, Identification
 from fjr_monitor.report import html
@@ -33,11 +34,12 @@ def write_page(
     path: Path,
     name: str,
     identification: Identification,
+    units: Sequence[Units],
     hold_outs: Sequence[HoldOut],
     notes: Sequence[str],
     seconds: float,
 ) -> None:
-    """Write the page as one self-contained file. seconds: length of all records. Raises AssetError."""
+    """Write the page as one self-contained file. units: of each joint. seconds: of all records. Raises AssetError."""
     joints, fits = identification.joints, identification.fits
     places = [f"record-{i}" for i in range(len(fits))]
     pairs = list(zip(places, fits, strict=True))
@@ -46,7 +48,7 @@ def write_page(
         path,
         "identification.html",
         f"{name}: joint stiffness K of {of_stiffness[IDENTIFIED]} of {plural(len(joints), 'joint')} identified",
-        [plot for place, fit in pairs for plot in fit_plots(fit, joints, place)],
+        [plot for place, fit in pairs for plot in fit_plots(fit, joints, units, place)],
         kicker=f"Identification of {plural(len(joints), 'joint')} from {plural(len(fits), 'record')}",
         notes=[*notes, *springs_seen(identification)],
         tiles=[
@@ -160,17 +162,18 @@ def _ratio_place(value: float, middle: float) -> float:
     return 50.0 * (1.0 + math.log(value / middle) / math.log(WIDEST)) if value > 0 and middle > 0 else -1.0
 
 
-def fit_plots(fit: Fit, joints: tuple[str, ...], place: str) -> list[Plot]:
+def fit_plots(fit: Fit, joints: tuple[str, ...], units: Sequence[Units], place: str) -> list[Plot]:
     """Return the plots of one record: a fit for each joint, residuals and autocorrelations of each signal."""
-    drawn = [*_fits(fit, joints, place), *_residuals(fit, joints, place)]
+    drawn = [*_fits(fit, joints, units, place), *_residuals(fit, joints, place)]
     return [plot for plot in drawn if not plot.is_empty]
 
 
-def _fits(fit: Fit, joints: tuple[str, ...], place: str) -> Iterator[Plot]:
+def _fits(fit: Fit, joints: tuple[str, ...], units: Sequence[Units], place: str) -> Iterator[Plot]:
     """Yield measured and predicted deflection of each joint; torque or motor position where a side is missing."""
     by = PREDICTED_BY_MOTION if DEFLECTION in fit.measured else PREDICTED_BY_SIMULATION
     for j, joint in enumerate(joints):
         what, measured, predicted = _compared(fit, j)
+        what = units[j].of(what)
         if not np.isfinite(measured).any():
             continue
         lines = [Line("measured", measured, "grey", 1.2), Line("predicted", predicted, colour(j), 1.5)]

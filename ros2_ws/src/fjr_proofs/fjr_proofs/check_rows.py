@@ -13,6 +13,7 @@ from fjr_core.config.robot import stated_errors
 from fjr_core.config.scenario import Scenario, left_out
 from fjr_core.errors import FjrError, ParameterError
 from fjr_core.law.vdpbc import TrackingLaw
+from fjr_core.model.robot import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.robust.law import Robust, RobustLaw
@@ -127,13 +128,12 @@ def _sentence(scenario: Scenario, bound: ErrorBound, hint: str) -> str:
     delay = f"{samples:.3g} samples of delay" if samples else "no delay"
     if np.isclose(samples, 1):
         delay = "one sample of delay"
-    conditions = ", ".join([*(_error(*error, payload_position(scenario)) for error in bound.errors.items()), delay])
+    conditions = ", ".join([*(_error(scenario, *error) for error in bound.errors.items()), delay])
     conditions += _without(scenario, bound.errors)
     if not bound.found:
         return f"none found with {conditions}; expected smaller errors or more --seconds"
     basis = "proven" if bound.proven else f"from sampled constants, not proven: {hint}"
-    steady = bound.proven and not np.all(np.isfinite(bound.from_start))
-    when = "in steady motion" if steady else "after the transient"
+    when = "in steady motion" if bound.proven and not np.isfinite(bound.from_start).all() else "after the transient"
     storage = f", V at most {at_most(1e3 * bound.storage)} mJ" if np.isfinite(bound.storage) else ""
     largest = f"{_largest(scenario, bound.position)}{storage}"
     return f"|q_l - q_ld| at most {largest} {when} along this reference, with {conditions}; {basis}"
@@ -149,13 +149,13 @@ def _without(scenario: Scenario, errors: Mapping[str, ArrayLike] = {}) -> str:
     return f", without {' and '.join(missing)}" if missing else ""
 
 
-def _error(name: str, size: ArrayLike, place: Array) -> str:
+def _error(scenario: Scenario, name: str, size: ArrayLike) -> str:
     if name == DELAY:
         return f"a delay that changes by up to {float(np.asarray(size)):g} samples either way"
-    unit = DEVIATIONS[name].unit
+    unit, place = DEVIATIONS[name].unit, payload_position(scenario)
     sizes = " and ".join(dict.fromkeys(f"{value if unit else 100 * value:g}" for value in np.atleast_1d(size)))
     if name in TORQUES:
-        return f"{DEVIATIONS[name].of} of up to {sizes} {unit}"
+        return f"{DEVIATIONS[name].of} of up to {sizes} {joined(each.effort for each in scenario.robot.units)}"
     if name == "payload_mass":
         at = f"({place[0]:g}, {place[1]:g}, {place[2]:g}) m of the last link"
         lever = "" if place.any() else ", on the axis of its joint (imperfections.payload_position)"

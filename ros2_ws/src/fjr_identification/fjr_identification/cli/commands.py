@@ -18,7 +18,7 @@ from fjr_msgs_py.console import options
     type=options.ENCODER_NOISE,
     metavar="RAD",
     default=1e-5,
-    help="Standard deviation of the encoders [rad] that the scenario has without errors.",
+    help="Standard deviation of the encoders [rad, m] that the scenario has without errors.",
 )
 @click.option("--seed", type=options.SEED, metavar="N", default=0, help="Seed of the random start of the search.")
 @click.option("--force", is_flag=True, help="Replace an earlier file.")

@@ -147,7 +147,7 @@ def _write(
     seconds = sum(record.dt * len(record.u) for record in records)
     no_gains = [f"robot.yaml has no gains: {file.reason}"] if file.reason else []
     notes = [*values["lacking"], *values["notes"], *no_gains]
-    write_page(folder / PAGE, nominal.name, identification, compared, notes, seconds)
+    write_page(folder / PAGE, nominal.name, identification, nominal.robot.units, compared, notes, seconds)
     return file
 
 

@@ -40,8 +40,7 @@ START = 0.1  # of the acceleration that random coefficients may ask for
 FINE = 8  # times as many instants when limits are checked
 HALVINGS = 40
 POSES = 64  # configurations whose mean link inertia counts
-FEWEST = 3
-"""Harmonics with which sines and cosines can start at rest and still move."""
+FEWEST = 3  # harmonics with which sines and cosines can start at rest and still move
 EMPHASIS = 4.0
 """Weight of the stiffness beyond its share in log det F: the law depends on it most, and it is known least."""
 

@@ -8,12 +8,13 @@ each other and with the robot, `missing_sensors` those of joints with one measur
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import RecordError
-from fjr_core.model.robot import Robot
+from fjr_core.model.robot import PRISMATIC, REVOLUTE, Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 
@@ -41,8 +42,12 @@ def findings(record: MotionRecord, robot: Robot, accepted: Collection[str] = ())
     if len(record.joints) != robot.n:
         raise RecordError(f"{record.name} has {len(record.joints)} joints; expected {robot.n}, as the robot")
     found: list[Finding] = []
+    units = {
+        "": REVOLUTE if REVOLUTE in robot.units else PRISMATIC,
+        **dict(zip(record.joints, robot.units, strict=True)),
+    }
     for of_check in _checks(record, robot):
-        found += of_check
+        found += (replace(each, sentence=units.get(each.joint, REVOLUTE).of(each.sentence)) for each in of_check)
         if any(finding.kind not in accepted for finding in found):
             break
     return tuple(found)

@@ -7,7 +7,7 @@ For tables, with one column per joint; `{joint}` stands for the joint's name, li
     link_position: {column: "{joint}_link", unit: deg, joints: [a1, a2]}    # joints: those that have it, default all
     motor_position: {column: [m1, m2, m3], unit: turn, gear_ratio: [100, 100, 80], sign: [1, -1, 1]}
     effort: {column: "{joint}_torque", unit: N m, gear_ratio: 100}          # of the motor; at its shaft with gear_ratio
-    joint_torque: {column: "{joint}_sensor", unit: N m}                     # a torque sensor between gear and link
+    joint_torque: {column: "{joint}_sensor", unit: [N m, N]}                # a sensor between gear and link; a list
 
 For bags: `bag: {namespace: /left, motor: position, gear_ratio: [100, 100, 80], effort: commands}`.
 
@@ -37,6 +37,7 @@ from fjr_core.errors import LONGEST, MissingPackageError, ParameterError, Record
 from fjr_core.numerics.checks import Array
 
 ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi, "m": 1.0, "mm": 1e-3}
+OF_SLIDES = {"m", "mm", "N", "kN"}
 TORQUES = {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "kN m": 1e3, "N": 1.0, "kN": 1e3}
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LINK, MOTOR, EFFORT, TORQUE = "link_position", "motor_position", "effort", "joint_torque"
@@ -136,7 +137,7 @@ def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
     time = _entry("time", document["time"], ("column", "unit"))
     if not isinstance(time["column"], str):
         raise ParameterError(f"time.column is {time['column']!r}; expected the name of a column")
-    scale = _unit("time", time, TIMES, "s")
+    (scale,) = _units("time", time, TIMES, "s", 1)
     signals = {name: _signal(name, document[name], joints) for name in UNITS if name in document}
     for joint in joints:
         if joint not in signals[EFFORT]:
@@ -146,7 +147,7 @@ def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
     delimiter = document.get("delimiter", ",")
     if not isinstance(delimiter, str) or len(delimiter) != 1:
         raise ParameterError(f"delimiter is {delimiter!r}; expected one character")
-    return TableMap(TableColumn(time["column"], scale), signals, delimiter)
+    return TableMap(TableColumn(time["column"], float(scale)), signals, delimiter)
 
 
 def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, TableColumn]:
@@ -162,7 +163,7 @@ def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, TableColu
         raise ParameterError(f"{name}.column is {columns!r}; expected {n} names, or one with {{joint}}")
     if len(set(columns)) < len(columns):
         raise ParameterError(f"{name}.column names a column twice; expected one per joint, as in '{{joint}}_position'")
-    scale = _unit(name, entry, UNITS[name], "")
+    scale = _units(name, entry, UNITS[name], "", n)
     ratio, sign = (_numbers(f"{name}.{key}", entry.get(key, 1.0), n) for key in ("gear_ratio", "sign"))
     if not set(sign) <= {-1.0, 1.0}:
         raise ParameterError(f"{name}.sign is {entry['sign']!r}; expected 1 or -1")
@@ -182,11 +183,14 @@ def _entry(name: str, given: Any, keys: Sequence[str]) -> Mapping[str, Any]:
     return given
 
 
-def _unit(name: str, entry: Mapping[str, Any], units: Mapping[str, float], default: str) -> float:
-    unit = entry.get("unit", default)
-    if unit not in units:
-        raise ParameterError(f"{name}.unit is {unit!r}; expected one of {', '.join(units)}")
-    return units[unit]
+def _units(name: str, entry: Mapping[str, Any], units: Mapping[str, float], default: str, n: int) -> Array:
+    """Return the factors (n,) to SI units of one unit for all columns, or of a list."""
+    given = entry.get("unit", default)
+    listed = given if isinstance(given, list) else [given] * n
+    if len(listed) != n or not all(isinstance(unit, str) and unit in units for unit in listed):
+        expected = f"one of {', '.join(units)}" + (f", or a list of {n}" if n > 1 else "")
+        raise ParameterError(f"{name}.unit is {given!r}; expected {expected}")
+    return np.array([units[unit] for unit in listed])
 
 
 def _numbers(name: str, value: Any, n: int) -> Array:
@@ -270,8 +274,9 @@ def written_map(table: Path, joints: Sequence[str]) -> tuple[str, list[str]]:
 
 def _proposed(signal: str, columns: Sequence[Meaning], joints: Sequence[str], todo: list[str]) -> dict[str, Any]:
     """Return the entry of a signal and add what is missing to `todo`."""
-    units = {meaning.unit for meaning in columns}
-    unit = units.pop() if len(units) == 1 else ""
+    units = [meaning.unit for meaning in columns]
+    revolute, prismatic = set(units) - OF_SLIDES, set(units) & OF_SLIDES
+    unit = units[0] if len(set(units)) == 1 else units if all(units) and len(revolute) == len(prismatic) == 1 else ""
     if not unit:
         possible = ANGLES if signal in (FILL_IN, LINK, MOTOR) else UNITS[EFFORT]
         todo.append(f"fill in  {signal}.unit of {_few(columns)}: {', '.join(possible)}")
