@@ -23,10 +23,8 @@ from fjr_core.numerics.checks import Array
 
 __all__ = ["CheckError", "check_law", "check_plant"]
 
-STEP = 1e-5
-"""Step of central differences, relative to the direction."""
-RELATIVE = 1e-6
-"""Largest violation of an inequality, relative to its terms, that counts as rounding."""
+STEP = 1e-5  # step of central differences, relative to the direction
+RELATIVE = 1e-6  # largest violation of an inequality, relative to its terms, that counts as rounding
 SPRING = 0.1  # rad; deflections of the joints
 EFFORT = 10.0  # N m; of the samples of a plant
 

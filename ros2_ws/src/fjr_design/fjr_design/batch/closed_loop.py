@@ -42,8 +42,7 @@ if TYPE_CHECKING:
     from fjr_core.config.scenario import Scenario
 
 LAST = 1.0  # s; averaging time of Outcomes.final
-LANES = 4
-"""Number of interleaved runs."""
+LANES = 4  # number of interleaved runs
 SOURCES = ("loop.h", "noise.c", "loop.c")
 
 

@@ -20,12 +20,10 @@ from fjr_core.numerics.checks import Array, floats
 from fjr_core.simulation.deviations import DEVIATIONS, NONNEGATIVE, POINT, POSITIVE, Deviation
 from fjr_msgs_py.console.output import tell
 
-WORDS = 4
-"""Random words per counter."""
+WORDS = 4  # random words per counter
 UNIFORM, NORMAL, LOG_UNIFORM, FIXED = "uniform", "normal", "log_uniform", "fixed"
 LOG_NORMAL = "log_normal"
-WIDEST = 4.0
-"""Standard deviations at which a normal distribution is truncated."""
+WIDEST = 4.0  # standard deviations at which a normal distribution is truncated
 EACH_JOINT = "each_joint"
 COUNTED_AS = {"link_torque": "external"}
 """Names that determine the random numbers of a deviation, where they differ from its own: its former ones."""
@@ -36,8 +34,7 @@ FORM = (
 
 
 NOT_DRAWN = ("payload", "link_central_inertia", "gravity_direction", "motor_torque")
-PARAMETERS = {name: one for name, one in DEVIATIONS.items() if name not in NOT_DRAWN}
-"""The deviations that a study draws, by name."""
+PARAMETERS = {name: one for name, one in DEVIATIONS.items() if name not in NOT_DRAWN}  # by name
 
 
 class Draws:
@@ -100,12 +97,6 @@ class Draws:
         if one.sign == NONNEGATIVE and not np.all(array >= 0):
             raise ParameterError(f"the minimum of {name} is {array.min():g}; expected 0 or more")
         return array
-
-
-def unit_of(column: str) -> str:
-    """Return the unit of a drawn number, NAME or NAME.JOINT; "" for factors."""
-    name = column.partition(".")[0]
-    return PARAMETERS[name].unit if name in PARAMETERS else ""
 
 
 def words(key: tuple[int, int], first: int, count: int) -> NDArray[np.uint64]:

@@ -30,11 +30,9 @@ from fjr_core.simulation.nonideal_plant import NonidealPlant, dragged
 from .draws import PARAMETERS
 
 SCALED = tuple(each.name for each in PARAMETERS.values() if each.is_factor and each.name != "link_mass")
-ROOTS = tuple(name for name in SCALED if name != "gravity")
-"""Factors that enter as their square roots."""
+ROOTS = tuple(name for name in SCALED if name != "gravity")  # factors that enter as their square roots
 FRICTION = ("coulomb_l", "coulomb_m")
-PLAIN, WHOLE = "plain", "full"
-"""Kinds of plants: without and with the deviations of FULL."""
+PLAIN, WHOLE = "plain", "full"  # kinds of plants: without and with the deviations of FULL
 FULL = (*FRICTION, "cubic", "hysteresis", "payload_mass", "link_mass")
 """Deviations of which one is not nominal only in runs of the full plant."""
 NAMES = (*SCALED, *FULL, "smoothing", "link_torque", "slip", "payload_position")

@@ -39,8 +39,7 @@ from fjr_msgs_py.scenarios import library
 
 EVALUATIONS = 100  # of a law in Python, whose time is measured
 CONTINUOUS = "in continuous time"
-ModelError = float | list[float]
-"""Largest error of a parameter, or of each joint."""
+ModelError = float | list[float]  # largest error of a parameter, or of each joint
 OTHER_PLANT = "not proven here, the plant is not the law's model"
 
 

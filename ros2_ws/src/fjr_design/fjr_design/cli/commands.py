@@ -108,8 +108,8 @@ def check(**given: Any) -> Any:
     joint by itself or a list, as stiffness=0.1,0.2: link_mass, link_central_inertia, stiffness, motor_inertia,
     link_damping, motor_damping; of all together: gravity, and payload=0.2, one factor of mass and inertia of all links.
     With a unit, payload=1.4kg is a mass at the last link, up to payload_position [m] beside
-    imperfections.payload_position; gravity_direction is in rad, link_torque and motor_torque are in N m, delay (from
-    sample to sample) in samples. stated=2: the errors under robot.deviations, of two standard deviations.
+    imperfections.payload_position; gravity_direction is in rad, link_torque and motor_torque are in N m (N), delay
+    (from sample to sample) in samples. stated=2: the errors under robot.deviations, of two standard deviations.
     """
     return implementation("fjr_design.cli.check").check_scenario(**given)
 

@@ -25,7 +25,7 @@ from fjr_design.exports.c_code import prefix_of
 from fjr_design.exports.project import export, write
 from fjr_design.exports.ros2_control.package import export_package, not_exported, package_name_of
 from fjr_design.scaffold.arm import Arm, arm_of, described
-from fjr_design.scaffold.files import locked_joints, origin_of, robot_text, scenario_text
+from fjr_design.scaffold.files import INERTIA, STIFFNESS, by_unit, locked_joints, origin_of, robot_text, scenario_text
 from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
 from fjr_msgs_py.console.output import Result, plural
 from fjr_msgs_py.scenarios import library
@@ -89,19 +89,20 @@ def _is_mjcf(file: Path) -> bool:
 
 def _summary(arm: Arm, proposal: Proposal, had_a_choice: bool) -> list[str]:
     """Return what was chosen, a line for each subject; had_a_choice: list the chains of the URDF first."""
-    gains, K, M_m = proposal.gains, np.diag(arm.robot.K), np.diag(arm.robot.M_m)
-    largest: dict[str, float] = {}  # amplitude of the revolute joints [rad] and of the prismatic joints [m]
-    for value, unit in zip(np.asarray(proposal.motion.amplitude), arm.robot.units, strict=True):
-        largest[unit.position] = max(float(value), largest.get(unit.position, 0.0))
-    reach = " and ".join(f"{value:.2g} {unit}" for unit, value in largest.items())
+    gains, amplitudes = proposal.gains, by_unit(arm, "rad", np.asarray(proposal.motion.amplitude))
+    reach = " and ".join(f"{max(values):.2g} {unit}" for unit, values in amplitudes.items())
+    stiffness, inertia = (
+        " and ".join(f"{min(values):g} to {max(values):g} {each}" for each, values in by_unit(arm, *of).items())
+        for of in ((STIFFNESS, np.diag(arm.robot.K)), (INERTIA, np.diag(arm.robot.M_m)))
+    )
     chains = [f"           {each}" for each in described(arm.chains)]
     return [
         *(["chains     (--chain N or --joints A,B,... takes others)", *chains] if had_a_choice else []),
         f"joints     {', '.join(arm.joints)}",
         *([f"locked     {locked_joints(arm.locked)}"] if arm.locked else []),
         *(f"note       {note}" for note in arm.notes),
-        f"stiffness  {K.min():g} to {K.max():g} N m/rad{origin_of(arm, 'joint_stiffness')}",
-        f"inertia    {M_m.min():g} to {M_m.max():g} kg m^2 of the motors{origin_of(arm, 'motor_inertia')}",
+        f"stiffness  {stiffness}{origin_of(arm, 'joint_stiffness')}",
+        f"inertia    {inertia} of the motors{origin_of(arm, 'motor_inertia')}",
         f"gains      beta {gains.beta:g} 1/s {gains.where}; delay margin {gains.check.delay_margin:.2f} samples at "
         f"{RATE:g} Hz in the whole range",
         f"motion     {reach} at most, at 0.5 Hz",

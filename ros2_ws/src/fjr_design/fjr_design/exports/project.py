@@ -34,8 +34,7 @@ from fjr_core.runtime.reference import ReferenceTable, reference_table
 from .c_code import casadi_code, checked_prefix, comment, filled, number, numbers, quoted, work_sizes
 
 SAMPLES = 200
-PREFIX = "fjr"
-"""Prefix of all names of the step in C."""
+PREFIX = "fjr"  # prefix of all names of the step in C
 CALLED = {"arg": len(ARGUMENTS), "res": len(OUTPUTS), "iw": 1, "w": 1}
 """Least sizes of the work space: arguments of a SampledLaw, results of a certificate, which the step always passes."""
 KNOWN = "Sine, MultiSine, PointToPoint, Circle, Hold, Spline, SampledMotion, joined or shifted"

@@ -35,10 +35,8 @@ UNREAD = {
     r"<mechanical_?[rR]eduction>\s*(?!\s|1(\.0*)?\s*<)": "<transmission> is not read: motor_inertia is behind the gear",
 }
 """A note for each kind of number on joints in a URDF that the robot file has to hold instead."""
-LARGEST_FINGER = 4
-"""Most joints of a finger: a branch with at most as many joints on each side is a hand, a larger one two arms."""
-Chain = tuple[str, ...]
-"""Joints of a serial chain from the base to the tip."""
+LARGEST_FINGER = 4  # joints; a branch with at most as many on each side is a hand, a larger one two arms
+Chain = tuple[str, ...]  # joints of a serial chain from the base to the tip
 
 
 @dataclass(frozen=True, eq=False)

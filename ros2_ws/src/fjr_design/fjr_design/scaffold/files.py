@@ -14,12 +14,14 @@ from numpy.typing import ArrayLike
 from fjr_core.config import ros_yaml
 from fjr_core.config.law import gain_values
 from fjr_core.model.robot import joined
+from fjr_core.numerics.checks import Array
 from fjr_design.scaffold.arm import Arm
 from fjr_design.scaffold.first_loop import RATE, Proposal
 from fjr_msgs_py.console.output import plural
 from fjr_msgs_py.scenarios.gains_block import gain_lines
 
-UNITS = {"joint_stiffness": "N m/rad, K", "motor_inertia": "kg m^2, M_m, reflected to the link side of the gear"}
+STIFFNESS, INERTIA = "N m/rad", "kg m^2"
+SYMBOLS = {"joint_stiffness": "K", "motor_inertia": "M_m, reflected to the link side of the gear"}
 SCENARIO = """\
 # {name}: slow sines of {joints} about a pose within the ranges. Written by `fjr new`; change it freely.
 # docs/your_robot.md explains the file, docs/references.md other motions, docs/safety.md the limits.
@@ -77,8 +79,9 @@ def robot_text(arm: Arm, folder: Path) -> str:
     ]
     if stuck:
         lines += [f"      locked_joints: {_list(stuck)}", f"      locked_positions: {_list(stuck.values())}"]
-    for name, matrix in (("joint_stiffness", arm.robot.K), ("motor_inertia", arm.robot.M_m)):
-        lines.append(f"      {name}: {_list(np.diag(matrix), EXACT)}   # {UNITS[name]}{origin_of(arm, name)}")
+    for name, unit, matrix in (("joint_stiffness", STIFFNESS, arm.robot.K), ("motor_inertia", INERTIA, arm.robot.M_m)):
+        what = f"{SYMBOLS[name]} [{joined(by_unit(arm, unit, np.diag(matrix)))}]{origin_of(arm, name)}"
+        lines.append(f"      {name}: {_list(np.diag(matrix), EXACT)}   # {what}")
     if arm.guesses:
         lines += [
             "      # A URDF has neither. These values are typical for the size of the joints, no data of this robot",
@@ -111,6 +114,12 @@ def scenario_text(name: str, robot_file: str, arm: Arm, proposal: Proposal) -> s
         tracking_error=_list(TRACKING_ERROR[each] for each in slides),
         start_error=_list(START_ERROR[each] for each in slides),
     )
+
+
+def by_unit(arm: Arm, unit: str, values: Array) -> dict[str, Array]:
+    """Return values (n,) of the joints by their units, of which `unit` is that of a revolute joint."""
+    units = np.array([each.of(unit) for each in arm.robot.units])
+    return {str(each): values[units == each] for each in dict.fromkeys(units.tolist())}
 
 
 def origin_of(arm: Arm, name: str) -> str:

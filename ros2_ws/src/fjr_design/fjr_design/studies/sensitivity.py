@@ -13,13 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from fjr_core.numerics.checks import Array
 from fjr_design.batch.closed_loop import PER_JOINT
-from fjr_msgs_py.console.output import milli, number
+from fjr_msgs_py.console.output import number
 
 from ..batch.draws import Distribution
 from .sweep import OUTCOMES, Sweep
 
-BINS, FULL_BIN = 20, 25
-"""Largest number of bins, and smallest mean number of runs per bin."""
+BINS, FULL_BIN = 20, 25  # largest number of bins, and smallest mean number of runs per bin
 Z = 1.959964  # of a 95 % interval
 QUANTILES = (0.5, 0.95, 0.99, 1.0)
 ReadColumn = Callable[[str], NDArray[Any]]
@@ -89,9 +88,9 @@ def summarised(sweep: Sweep, column: ReadColumn) -> Summary:
     )
 
 
-def shown(value: float, unit: str) -> str:
-    """Return an outcome with its unit, an error in mrad."""
-    return milli(value, unit) if unit == "rad" else number(value, unit)
+def shown(value: float, unit: str, sweep: Sweep) -> str:
+    """Return an outcome with its unit, an error in mrad or mm."""
+    return number(1e3 * value, sweep.units("mrad")) if unit == "rad" else number(value, sweep.units(unit))
 
 
 def interval(count: ArrayLike, of: ArrayLike) -> tuple[Array, Array]:

@@ -36,14 +36,11 @@ from fjr_core.errors import FjrError, MissingPackageError
 from fjr_core.files.text_file import is_sealed, read_json, whole_file, write_text
 from fjr_msgs_py.console.ending import Interrupted
 
-AHEAD = 3
-"""Jobs submitted per worker; no more results than these are in memory."""
+AHEAD = 3  # jobs submitted per worker; no more results than these are in memory
 LOOK = 0.2  # s between checks of `stop`
 DESCRIPTION = "study.json"
-Columns = dict[str, NDArray[Any]]
-"""Values of the runs of a job by name, (runs,) each."""
-Job = tuple[Any, ...]
-"""Arguments of the function that computes the result of a job."""
+Columns = dict[str, NDArray[Any]]  # values of the runs of a job by name, (runs,) each
+Job = tuple[Any, ...]  # arguments of the function that computes the result of a job
 Result = TypeVar("Result")
 
 

@@ -22,6 +22,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.parameter import resembling
 from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError, prefixed
+from fjr_core.model.robot import joined
 from fjr_core.simulation.deviations import JOINT
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
 from fjr_msgs_py.scenarios import installed, library
@@ -49,8 +50,7 @@ FIGURES = (*MEANS, *LARGEST, "power")
 SUCCESS = "success"
 Figures = Columns
 MOST_RUNS = 10**9
-REACH = 2.0
-"""Largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78."""
+REACH = 2.0  # largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78
 NOISE_SEED = "seed"
 WHOLE = ("runs", "seed")
 SECONDS = ("duration", "settle_after", "band", "lost")
@@ -123,6 +123,11 @@ class Sweep:
     def scenario(self) -> Scenario:
         """Scenario of the nominal run."""
         return parse_scenario(self.name, self.scenario_text)
+
+    def units(self, unit: str, joint: str = "") -> str:
+        """Return the unit of a joint for that of a revolute one, or the units of all joints."""
+        of_joint = dict(zip(self.scenario.joints, self.scenario.robot.units, strict=True))
+        return joined(each.of(unit) for each in ([of_joint[joint]] if joint in of_joint else of_joint.values()))
 
     @cached_property
     def loop(self) -> ClosedLoop:

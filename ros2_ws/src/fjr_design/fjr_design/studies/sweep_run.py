@@ -26,7 +26,7 @@ from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, draw_plot, write_p
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result, aligned, finite, json_text, number, percent, plural, progress_bar, tell
 
-from ..batch.draws import FIXED, LOG_UNIFORM, unit_of
+from ..batch.draws import FIXED, LOG_UNIFORM, PARAMETERS
 from .sensitivity import Effect, ReadColumn, Summary, shown, summarised
 from .study import Store, Workers, cluster, divided, open_store, threads
 from .sweep import OUTCOMES, Sweep, planned, run_part
@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 
 PROGRESS = "{desc}: {percentage:3.0f}% |{bar}| {n}/{total} runs, {rate_fmt}, {remaining} left"
 IN_PYTHON = "law or plant are evaluated in Python: the runs are not compiled, and --cores does not speed them up"
-ENOUGH = 200
-"""Number of runs from which the sensitivities are significant."""
+ENOUGH = 200  # runs from which the sensitivities are significant
 IN_TABLE = ("rms", "peak", "final", "settling", "effort_peak", "power")
 LARGEST_PART, SMALLEST_PART, PARTS = 1000, 10, 200
 INFLUENCE = (
@@ -54,7 +53,7 @@ DOTS = 4000
 GOOD, BAD, LOST = "c1", "c2", "bad"
 BINS = 40  # of the distribution
 ABOVE = 1.5  # times the largest error: where unstable runs are drawn
-ERROR = "RMS error, worst joint [mrad]"
+ERROR = "RMS error, worst joint"
 WIDTH = 42  # characters of a line over a plot
 
 
@@ -132,7 +131,7 @@ def table(plan: Sweep, summary: Summary) -> str:
     stopped = f", a limit stopped {summary.stopped}" if summary.stopped else ""
     interval = f"(95 %: {percent(summary.low)} to {percent(summary.high)})"
     rows = [["", "median", "95 %", "99 %", "worst"]]
-    rows += [[f"  {name}", *(shown(q, OUTCOMES[name][1]) for q in summary.quantiles[name])] for name in IN_TABLE]
+    rows += [[f"  {name}", *(shown(q, OUTCOMES[name][1], plan) for q in summary.quantiles[name])] for name in IN_TABLE]
     effects = [["  most influential" + " (estimate)" * (summary.runs < ENOUGH), "success", "rms error"]]
     effects += [[f"  {one.name}", percent(one.success, 0), percent(one.error, 0)] for one in summary.effects[:5]]
     first = f"{headline(plan, summary)} {interval}, {summary.stable} are stable{stopped}"
@@ -147,10 +146,12 @@ def headline(sweep: Sweep, summary: Summary) -> str:
 def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> None:
     """Write the page as one self-contained file."""
     limits = "".join(
-        f", {OUTCOMES[name][0]} at most {limit:g} {OUTCOMES[name][1]}" for name, limit in sweep.success.items()
+        f", {OUTCOMES[name][0]} at most {limit:g} {sweep.units(OUTCOMES[name][1])}"
+        for name, limit in sweep.success.items()
     )
     outcomes = [
-        [what, *(shown(value, unit) for value in summary.quantiles[name])] for name, (what, unit) in OUTCOMES.items()
+        [what, *(shown(value, unit, sweep) for value in summary.quantiles[name])]
+        for name, (what, unit) in OUTCOMES.items()
     ]
     html.write_page(
         path,
@@ -160,19 +161,19 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
         kicker=f"sweep of {summary.runs:,} runs",
         notes=[
             f"a run succeeds when it is stable, not stopped by a limit of the controller{limits}",
-            f"errors are evaluated from {sweep.settle_after:g} s on; unstable: beyond {sweep.lost:.3g} rad",
+            f"errors count from {sweep.settle_after:g} s on; unstable: beyond {sweep.lost:.3g} {sweep.units('rad')}",
             *(f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED),
         ],
         tiles=[
             (percent(summary.succeeded / summary.runs), "succeed"),
             (f"{percent(summary.low)} to {percent(summary.high)}", "95 % interval of that share"),
             (percent(summary.stable / summary.runs), "are stable"),
-            (shown(summary.quantiles["rms"][1], "rad"), "RMS error that 95 % of the stable runs keep"),
+            (shown(summary.quantiles["rms"][1], "rad", sweep), "RMS error that 95 % of the stable runs keep"),
         ],
         tables=[("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes)],
         effects=[
-            (one.name, *(number(float(edge), unit_of(one.name)) for edge in one.edges[[0, -1]]), one.success, one.error)
-            for one in summary.effects
+            (e.name, *(number(float(edge), unit_of(sweep, e.name)) for edge in e.edges[[0, -1]]), e.success, e.error)
+            for e in summary.effects
         ],
         influence_text=INFLUENCE,
         json=finite(asdict(summary)),
@@ -187,12 +188,12 @@ def sweep_plots(sweep: Sweep, column: ReadColumn, summary: Summary) -> list[Plot
     logarithmic = {each.column for each in sweep.drawn if each.distribution.kind == LOG_UNIFORM}
     for i, effect in enumerate(summary.effects[:PLOTTED]):
         log = effect.name in logarithmic
-        plots += [_share(i, effect, log), _runs(i, effect, log, column(effect.name), rms, success)]
-    plots.append(_distribution(rms, success))
+        plots += [_share(sweep, i, effect, log), _runs(sweep, i, effect, log, column(effect.name), rms, success)]
+    plots.append(_distribution(sweep, rms, success))
     return [plot for plot in plots if not plot.is_empty]
 
 
-def _share(number: int, effect: Effect, log: bool) -> Plot:
+def _share(sweep: Sweep, number: int, effect: Effect, log: bool) -> Plot:
     """Plot the success rate over a parameter, in bins of equal probability."""
     lines = [
         Line("95 % interval", _held(effect.high), GOOD, 0.8, step=True),
@@ -205,7 +206,7 @@ def _share(number: int, effect: Effect, log: bool) -> Plot:
         "Success rate in bins of equal probability, with its 95 % interval.",
         effect.edges,
         lines,
-        x_label=_label(effect.name),
+        x_label=_label(sweep, effect.name),
         y_label="success rate [%]",
         x_log=log,
         y_range=(-3.0, 103.0),
@@ -219,7 +220,9 @@ def _held(shares: Array) -> Array:
     return 100.0 * np.append(shares, shares[-1:])
 
 
-def _runs(number: int, effect: Effect, log: bool, values: Array, rms: Array, success: NDArray[np.bool_]) -> Plot:
+def _runs(
+    sweep: Sweep, number: int, effect: Effect, log: bool, values: Array, rms: Array, success: NDArray[np.bool_]
+) -> Plot:
     """Plot the first DOTS runs as dots over a parameter."""
     order = np.argsort(values[:DOTS], kind="stable")
     drawn, error, good = values[order], rms[order], success[order]
@@ -237,15 +240,15 @@ def _runs(number: int, effect: Effect, log: bool, values: Array, rms: Array, suc
         f"One dot per run{f', the first {DOTS}' if len(values) > DOTS else ''}.",
         drawn,
         [Line("run", order.astype(float), "grey", unseen=True), *seen],
-        x_label=_label(effect.name),
-        y_label=ERROR,
+        x_label=_label(sweep, effect.name),
+        y_label=f"{ERROR} [{sweep.units('mrad')}]",
         x_log=log,
         y_log=True,
         time=False,
     )
 
 
-def _distribution(rms: Array, success: NDArray[np.bool_]) -> Plot:
+def _distribution(sweep: Sweep, rms: Array, success: NDArray[np.bool_]) -> Plot:
     """Plot a histogram of the errors of the stable runs."""
     stable = np.isfinite(rms) & (rms > 0)
     errors = rms[stable] if stable.any() else np.ones(1)
@@ -261,7 +264,7 @@ def _distribution(rms: Array, success: NDArray[np.bool_]) -> Plot:
         "Stable runs by their error; log axis.",
         edges,
         lines,
-        x_label=ERROR,
+        x_label=f"{ERROR} [{sweep.units('mrad')}]",
         y_label="runs",
         x_log=True,
         time=False,
@@ -270,8 +273,15 @@ def _distribution(rms: Array, success: NDArray[np.bool_]) -> Plot:
     )
 
 
-def _label(name: str) -> str:
-    unit = unit_of(name)
+def unit_of(sweep: Sweep, column: str) -> str:
+    """Return the unit of a drawn number, NAME or NAME.JOINT; "" for factors. A direction is in rad on every arm."""
+    name, _, joint = column.partition(".")
+    unit = PARAMETERS[name].unit if name in PARAMETERS else ""
+    return unit if name == "gravity_direction" else sweep.units(unit, joint)
+
+
+def _label(sweep: Sweep, name: str) -> str:
+    unit = unit_of(sweep, name)
     return f"{name} [{unit}]" if unit else f"{name} (factor)"
 
 

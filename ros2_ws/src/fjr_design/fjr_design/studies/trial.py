@@ -40,8 +40,7 @@ STEPS = 16  # levels of the first scan, evenly spaced on a logarithmic scale
 PARTS = 7  # levels of each refinement, between both ends of a margin
 ROUNDS = 2  # of refinement
 Levels = Sequence[tuple[str, float]]
-Evaluation = Callable[[Levels], NDArray[np.bool_]]
-"""(imperfection, level) of k runs -> whether each run tracks (k,)."""
+Evaluation = Callable[[Levels], NDArray[np.bool_]]  # (imperfection, level) of k runs -> whether each run tracks (k,)
 
 
 @dataclass(frozen=True)

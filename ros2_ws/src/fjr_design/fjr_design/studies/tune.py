@@ -30,16 +30,14 @@ from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
 from .study import Columns, once
 from .sweep import FIGURES, SUCCESS, Figures, Sweep, check_keys, figures, from_text, number, whole
 
-INFEASIBLE = 1e6
-"""Cost of points that violate a constraint, at least; the cost of others is far below."""
+INFEASIBLE = 1e6  # cost of points that violate a constraint, at least; the cost of others is far below
 WORST = 1e3  # violation that counts at most
 TIES = 1e3  # largest part of the cost among points with the same violation
 FEW = 4  # configurations of the reference at which a loop is checked
 FINER = 2.0  # delays that are checked per sample
 SELECTION = 4  # times the draws of the search: those of the selection
 Point = tuple[float, ...]
-OF_SCENARIO: Point = ()
-"""Point that stands for the gains of the scenario, wherever the search starts."""
+OF_SCENARIO: Point = ()  # point that stands for the gains of the scenario, wherever the search starts
 Range = tuple[int, int]
 FIRST_DEVIATION = 0.4  # of the logarithms of the factors: e^0.4 = 1.5
 WIDEST = float(np.log(50.0))  # of the logarithms of the factors

@@ -26,7 +26,7 @@ from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, log_ticks, write_picture
 from fjr_msgs_py.console.ending import stoppable
-from fjr_msgs_py.console.output import Result, aligned, json_text, milli, percent, plural, progress_bar
+from fjr_msgs_py.console.output import Result, aligned, json_text, percent, plural, progress_bar
 from fjr_msgs_py.scenarios import library
 
 from .coordinates import RULE, SCENARIO
@@ -56,13 +56,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LAW = "law"
-SMALL, LARGE, MANY = 16, 200, 1000
-"""Runs of a part: of a few draws, of at least MANY draws."""
+SMALL, LARGE, MANY = 16, 200, 1000  # runs of a part: of a few draws, of at least MANY draws
 SHOWN = {name: OUTCOMES[name] for name in ("rms", "peak")} | {
     "effort_noise": ("noise in the effort", "N m"),
     "effort_peak": OUTCOMES["effort_peak"],
 }
-AXES = {"effort_noise": "noise in the effort [N m]", "effort_peak": "peak effort [N m]"}
+AXES = "effort_noise", "effort_peak"
 QUANTILES = (0.5, 0.95)
 STARTS = {SCENARIO: "the scenario", RULE: "the rule of equal bandwidth"}
 
@@ -205,7 +204,7 @@ def _table(tuned: Tuned) -> list[str]:
             pair = quantile(tuned.scenario[name], q), quantile(tuned.chosen[name], q)
             what = f"  {words}, {'median' if q == 0.5 else percent(q, 0)}"
             ratio = f"{pair[1] / pair[0]:.3g}" if np.isfinite(pair).all() and pair[0] > 0 else ""
-            rows.append([what, *(shown(value, unit) for value in pair), ratio])
+            rows.append([what, *(shown(value, unit, study.sweep) for value in pair), ratio])
     rows.append(["  successful runs", percent(scenario.success), percent(chosen.success), ""])
     axes = zip(study.coordinates.axes, tuned.point, strict=True)
     lines = [
@@ -226,7 +225,7 @@ def _draw(tuned: Tuned, figure: Figure) -> None:
         _front(ax, tuned, name)
         log_ticks(ax.xaxis, ax.yaxis)
     axes[0].legend(loc="best", **{**LEGEND, "markerscale": 1.0})
-    _distribution(axes[2], tuned.scenario, tuned.chosen)
+    _distribution(axes[2], tuned)
     title = f"{tuned.study.sweep.name}: {len(tuned.candidates)} candidates, {tuned.study.fresh:,} fresh draws"
     figure.suptitle(title, fontsize=13, x=0.01, ha="left")
 
@@ -245,7 +244,8 @@ def _front(ax: Axes, tuned: Tuned, name: str) -> None:
     for i, marker, label in ((0, "s", "start of the search"), (chosen, "*", "chosen")):
         if finite[i]:
             ax.plot(x[i], 1e3 * y[i], marker, ms=9, color=COLOURS[1] if marker == "*" else GREY, label=label)
-    ax.set(xscale="log", yscale="log", xlabel=AXES[name], ylabel="RMS error [mrad]")
+    error, effort = (tuned.study.sweep.units(unit) for unit in ("mrad", "N m"))
+    ax.set(xscale="log", yscale="log", xlabel=f"{SHOWN[name][0]} [{effort}]", ylabel=f"RMS error [{error}]")
     ax.set_title(f"Candidates, {percent(quantile, 0)} quantile over {tuned.study.draws} draws")
 
 
@@ -257,16 +257,17 @@ def pareto(x: Array, y: Array, among: NDArray[np.bool_]) -> NDArray[np.intp]:
     return order[y[order] < least]
 
 
-def _distribution(ax: Axes, scenario: Figures, chosen: Figures) -> None:
+def _distribution(ax: Axes, tuned: Tuned) -> None:
     """Draw the share of the fresh draws whose error is at most a level; lost runs are missing at the top."""
-    for runs, colour, label in ((scenario, GREY, "scenario"), (chosen, COLOURS[1], "chosen")):
+    sweep = tuned.study.sweep
+    for runs, colour, label in ((tuned.scenario, GREY, "scenario"), (tuned.chosen, COLOURS[1], "chosen")):
         rms = np.sort(runs["rms"])
         share = 100.0 * np.arange(1, len(rms) + 1) / len(rms)
         stable = np.isfinite(rms) & (rms > 0)
         ax.plot(1e3 * rms[stable], share[stable], color=colour, label=label)
-    ax.set(xscale="log", xlabel="RMS error [mrad]", ylabel="fresh draws with at most this error [%]", ylim=(0, 101))
+    ax.set(xscale="log", xlabel=f"RMS error [{sweep.units('mrad')}]", ylim=(0, 101))
+    ax.set_ylabel("fresh draws with at most this error [%]")
     log_ticks(ax.xaxis)
-    ax.set_title(
-        "Median {}, tuned {}".format(*(milli(quantile(runs["rms"], 0.5), "rad") for runs in (scenario, chosen)))
-    )
+    medians = (shown(quantile(runs["rms"], 0.5), "rad", sweep) for runs in (tuned.scenario, tuned.chosen))
+    ax.set_title("Median {}, tuned {}".format(*medians))
     ax.legend(loc="lower right", **LEGEND)

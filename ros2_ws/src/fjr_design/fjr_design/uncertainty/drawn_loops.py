@@ -27,8 +27,7 @@ CONFIDENCE = 0.99
 MOST_MAPS = 512  # in memory at a time
 FIELDS = tuple(MATRICES)
 SCREENED, CLOSELY = 16, 8  # draws that choose the worst configurations, and how many these are
-FACTORS = (0.7, 0.8, 1.2, 1.3)
-"""Ratios of a plant parameter to its value in the model."""
+FACTORS = (0.7, 0.8, 1.2, 1.3)  # ratios of a plant parameter to its value in the model
 QUANTITIES = ("stiffness", "link_inertia", "motor_inertia")
 """Deviations that are changed, for all joints at once; the weight of the links stays."""
 

@@ -30,8 +30,7 @@ from .drawn_loops import DrawnPlants
 IDENTIFIED, WEAK, UNKNOWN = "identified", "weakly identified", "not identifiable"
 LOG, NONNEGATIVE, LINEAR, SQUARE = "log", "non-negative", "linear", "square"
 """Coordinates of a parameter in the posterior: its logarithm, itself, clipped at 0 or not, its square, clipped at 0."""
-DEFLECTION = "deflection"
-"""Signal q_m - q_l of a fit that follows from the motion."""
+DEFLECTION = "deflection"  # signal q_m - q_l of a fit that follows from the motion
 MATRICES = {one.parameter: one.matrix for one in DEVIATIONS.values() if one.matrix}
 """Matrices of a robot whose diagonals are drawn, by the name of their parameter in an identification."""
 NAMES = {one.parameter: one for one in DEVIATIONS.values() if one.parameter}
