@@ -21,6 +21,7 @@ from fjr_core.motions.motion_limits import check_motion
 from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
 from fjr_design.cli.check import check
+from fjr_monitor.report.contact import AT_TIP, Contact, JointContact
 from fjr_monitor.watch.state import Watched
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.console.output import milli, number
@@ -90,7 +91,16 @@ def test_check_and_run_name_joint_and_unit_of_each_metric(file: Path, arm: Scena
     error = f"{milli(worst['peak_error_after_2s_rad'], worst['position_unit'])} ({worst['joint']})"
     assert error in said
     page = (tmp_path / "arm" / "report.html").read_text()
-    for shown in ("lift [mm, N]", "elbow [mrad, N m]", "[m, rad]", "[mm, mrad]", "[N, N m]", "% of its limit (elbow)"):
+    rms = [milli(each["rms_error_after_2s_rad"], each["position_unit"]) for each in (lift, elbow)]
+    for shown in (
+        " and ".join(rms),
+        "lift [mm, N]",
+        "elbow [mrad, N m]",
+        "[m, rad]",
+        "[mm, mrad]",
+        "[N, N m]",
+        "% of its limit (elbow)",
+    ):
         assert shown in page, shown
 
 
@@ -107,6 +117,38 @@ def test_limits_of_a_prismatic_joint_are_in_metres(arm: Scenario) -> None:
         safety({**values, **beneath}, arm.robot)
     with pytest.raises(TrajectoryError, match="joint 'lift' would reach 0.5 m at 0 s; its limit is 0.04 m"):
         check_motion(Hold((0.5, 0.0)), motion_limits(safety(values, arm.robot), arm.robot), joints=arm.joints)
+
+
+def test_a_new_robot_file_and_its_summary_have_the_units_of_each_kind_of_joint(file: Path, tmp_path: Path) -> None:
+    said = fjr_here("new", str(file.with_name("lift_arm.urdf")), "--output", str(tmp_path))
+    stiffness, inertia = (next(line for line in said.splitlines() if line.startswith(name)) for name in ("sti", "ine"))
+    assert re.search(r"\d N/m and .*\d N m/rad; GUESS$", stiffness)
+    assert re.search(r"\d kg and .*\d kg m\^2 of the motors; GUESS$", inertia)
+    written = (tmp_path / "lift_arm_robot.yaml").read_text()
+    assert "# K [N/m, N m/rad]; GUESS" in written
+    assert "[kg, kg m^2]; GUESS" in written
+
+
+def test_bound_and_contact_name_the_efforts_of_each_kind_of_joint(file: Path) -> None:
+    bound = fjr_here("check", str(file), "--error", "link_torque=0.1", codes=(Exit.DONE, Exit.FAILED))
+    assert "with link torques of up to 0.1 N, N m, no delay" in bound
+    touched = [JointContact("lift", "N", 30.0, None), JointContact("elbow", "N m", 2.0, None)]
+    assert "external torque on lift 30 N, elbow 2 N m" in Contact(1.0, 2.0, touched, None, AT_TIP, None).sentence
+
+
+def test_a_sweep_and_a_tuning_of_prismatic_joints_are_in_mm_and_newtons(file: Path, tmp_path: Path) -> None:
+    lift = URDF.replace('type="revolute"', 'type="prismatic"')
+    (tmp_path / "lift_arm.urdf").write_text(lift)
+    (tmp_path / "arm.yaml").write_text(file.read_text())
+    options = (str(tmp_path / "arm.yaml"), "--duration", "1.5", "--cores", "1", "--output", str(tmp_path))
+    swept = fjr_here("sweep", *options, "--runs", "8")
+    assert re.search(r"rms +[\d.]+ mm", swept)
+    assert re.search(r"effort_peak +[\d.]+ N ", swept)
+    tuned = fjr_here("tune", *options, "--candidates", "4", "--draws", "4", "--fresh", "8")
+    assert re.search(r"RMS error, median +[\d.]+ mm", tuned)
+    page = (tmp_path / "arm" / "report.html").read_text()
+    for said in (swept, tuned, page):
+        assert not re.search(r"\d m?rad\b|\[m?rad\]|N m\b", said)
 
 
 def test_the_live_view_marks_a_prismatic_joint() -> None:
