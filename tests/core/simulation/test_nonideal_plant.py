@@ -160,6 +160,13 @@ def test_the_largest_load_is_the_effort_limit_or_the_weight_of_a_link_held_out()
     assert largest_load(limited, np.zeros(2), [3.0, np.inf]).tolist() == [3.0, 0.1]
 
 
+def test_the_largest_load_is_the_largest_torque_of_all_efforts_within_their_limits() -> None:
+    for B_m in ([[0.5, 0.0], [0.0, -2.0]], [[0.5, 0.5], [0.5, -0.5]]):
+        corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * [8.0, 6.0]
+        most = (corners @ np.transpose(B_m)).max(axis=0)
+        assert largest_load(fjr.planar_two_link(input_gain=B_m), np.zeros(2), [8.0, 6.0]) == pytest.approx(most)
+
+
 # Springs.
 
 

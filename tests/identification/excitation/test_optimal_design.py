@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 import fjr_core as fjr
 from fjr_core.errors import TrajectoryError
@@ -134,6 +135,15 @@ def test_an_input_gain_with_limits_in_its_efforts_changes_no_deviation():
         found.append(_designed(library.as_run(path, changes)[1], 3.0, 1e-5, 0))
     assert found[1].before == pytest.approx(found[0].before, rel=1e-6)
     assert found[1].deviations == pytest.approx(found[0].deviations, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"stiffness": [[40.0, 5.0], [5.0, 25.0]]}, {"motor_inertia": [[0.02, 0.003], [0.003, 0.01]]}]
+)
+def test_joints_that_identification_refuses_as_coupled_get_no_motion(changes: dict[str, ArrayLike]) -> None:
+    robot = fjr.planar_two_link(**changes)
+    with pytest.raises(fjr.ParameterError, match="is not diagonal; expected one number per joint"):
+        design(robot, limits(robot), NOISE, SINE, 3.0, 1e-3)
 
 
 def test_a_short_record_and_a_joint_without_limits_whose_reference_rests_are_refused():

@@ -159,11 +159,12 @@ def friction_rate(imperfections: Imperfections, M_l: ArrayLike, M_m: ArrayLike, 
 
 
 def largest_load(robot: Robot, q_l: Array, limit: ArrayLike = np.inf) -> Array:
-    """Return the load (n,) [N m] that springs are expected to carry: the effort limit of each joint.
+    """Return the load (n,) [N m] that springs are expected to carry: |B_m| times the effort limits.
 
-    That of the robot or `limit`; without one the largest weight at q_l (n,) and with one joint turned by 90 degrees.
+    Those of robot and `limit`; without, the largest weight at q_l (n,) and with one joint turned by 90 degrees.
     """
     limits = np.minimum(limit, np.inf if robot.limits is None else robot.limits.effort)
+    limits = (np.abs(robot.B_m) * np.where(robot.B_m == 0, 0.0, limits)).sum(axis=1)
     turns = np.pi / 2 * np.eye(robot.n, robot.n + 1).T  # the last one: no turn
     weight = np.max([np.abs(robot.grad_P_l(q_l + turn)) for turn in turns], axis=0)
     return np.where(np.isfinite(limits), limits, weight)
@@ -174,10 +175,9 @@ def stuck_rate(imperfections: Imperfections, K: Array, M_l: Array, M_m: Array) -
 
     Square root of the largest eigenvalue of (M_l^-1 + M_m^-1) (K + diag(hysteresis / slip)), matrices (n, n).
     """
-    i = imperfections
-    if not np.any(i.hysteresis):
+    if not np.any(imperfections.hysteresis):
         return 0.0
-    stiffness = K + np.diag(i.hysteresis / np.asarray(i.slip))
+    stiffness = K + np.diag(imperfections.hysteresis / np.asarray(imperfections.slip))
     return float(np.sqrt(np.max(np.linalg.eigvals((np.linalg.inv(M_l) + np.linalg.inv(M_m)) @ stiffness).real)))
 
 
