@@ -200,3 +200,34 @@ def test_both_agree_on_a_robot_with_full_matrices_or_curved_springs(wrong_motor:
         x = plant.step(x, u, 1e-3)
     fault = None if wrong_motor is None else WiringFault("encoder sign", (wrong_motor,), "motor")
     np.testing.assert_equal(values(found), said(fault, NAMES))
+
+
+@pytest.mark.parametrize("B_m", [[[0.5, 0.5], [0.5, -0.5]], [[0.0, 1.0], [1.0, 0.0]]], ids=["differential", "crossed"])
+@pytest.mark.parametrize(
+    ("kind", "joints", "acting"),
+    [
+        ("effort sign", (0,), [[-1.0, 0.0], [0.0, 1.0]]),
+        ("effort sign", (1,), [[1.0, 0.0], [0.0, -1.0]]),
+        ("effort sign", (0, 1), [[-1.0, 0.0], [0.0, -1.0]]),
+        ("efforts exchanged", (0, 1), [[0.0, 1.0], [1.0, 0.0]]),
+        (None, (), [[1.1, 0.0], [0.0, 0.9]]),
+    ],
+)
+def test_wrong_efforts_are_found_where_motors_drive_other_joints(
+    B_m: list[list[float]], kind: str | None, joints: tuple[int, ...], acting: list[list[float]]
+) -> None:
+    """Exchanged motors of a differential transmission are seen by one joint only, crossed ones by the other joint."""
+    robot, rng = fjr.planar_two_link(input_gain=B_m), np.random.default_rng(5)
+    plant, x = fjr.Plant(robot), robot.state(*np.zeros((4, 2)))
+    here, oracle = WiringCheck(robot, NAMES), NumericCheck(robot)
+    for k in range(STATES):
+        q, dq = x[:4] + 1e-6 * rng.standard_normal(4), np.hstack(robot.velocities(x)) + 1e-4 * rng.standard_normal(4)
+        found = here.see(1e-3 * k, q, dq)
+        np.testing.assert_equal(values(found), said(oracle.see(1e-3 * k, q, dq), NAMES))
+        if found is not None or here.done:
+            break
+        u = np.array([6.0, 4.0]) * np.sin([0.2 * k, 0.3 * k])
+        here.sent(u)
+        oracle.sent(u)
+        x = plant.step(x, np.array(acting) @ u, 1e-3)
+    np.testing.assert_equal(values(found), said(kind and WiringFault(kind, joints, "motor"), NAMES))

@@ -48,15 +48,15 @@ class WiringFault(NamedTuple):
 Undone = Callable[[Window], Window]
 
 
-def hypotheses(encoders: set[int], motors: set[int], n: int) -> Iterator[tuple[WiringFault, Undone]]:
+def hypotheses(encoders: set[int], efforts: set[int], n: int) -> Iterator[tuple[WiringFault, Undone]]:
     """Return the possible faults of suspected joints, each with the correction that undoes it."""
     none, same, same_encoders = np.ones(2 * n), np.arange(n), np.arange(2 * n)
-    for j in sorted(motors):
+    for j in sorted(efforts):
         yield WiringFault("effort sign", (j,), "motor"), _effort(same, _signs(n, j))
-    if len(motors) > 1:
-        signs = np.where(np.isin(same, sorted(motors)), -1.0, 1.0)
-        yield WiringFault("effort sign", tuple(sorted(motors)), "motor"), _effort(same, signs)
-    for i, j in combinations(sorted(motors), 2):
+    if len(efforts) > 1:
+        signs = np.where(np.isin(same, sorted(efforts)), -1.0, 1.0)
+        yield WiringFault("effort sign", tuple(sorted(efforts)), "motor"), _effort(same, signs)
+    for i, j in combinations(sorted(efforts), 2):
         yield WiringFault("efforts exchanged", (i, j), "motor"), _effort(_order(n, i, j), none[:n])
     for side, name in ((0, "link"), (n, "motor")):
         for j in sorted(encoders):
@@ -350,9 +350,13 @@ def wiring_fault(
         return velocity, right, misfit
     links, motors = (set(np.flatnonzero(part).tolist()) for part in failing[: 2 * n].reshape(2, n))
     encoders = (links | motors) - set(np.flatnonzero(known[:n]).tolist())  # the spring is in both equations
+    drives = robot.B_m != 0
+    efforts = set(np.flatnonzero(drives[sorted(motors)].any(axis=0)).tolist())
     found: list[tuple[float, WiringFault]] = []
-    for fault, undone in hypotheses(encoders, motors, n):
-        left, own = Rows.torques(robot, undone(window), constant), np.isin(np.arange(2 * n) % n, fault.joints)
+    for fault, undone in hypotheses(encoders, efforts, n):
+        joints = np.isin(np.arange(n), fault.joints)
+        concerned = drives[:, joints].any(axis=1) if fault.kind.startswith("effort") else joints
+        left, own = Rows.torques(robot, undone(window), constant), np.tile(concerned, 2)
         closer = CLOSER * left.squares[own].sum() < rows.squares[own].sum()
         if closer and left.misfit()[own].max() < FITS * count:
             found.append((rows.deviance - left.deviance, fault))

@@ -94,6 +94,7 @@ static int begin_comparison(const struct fjr_model* m, struct fjr_wiring* w, con
                             struct fjr_wiring_fault* velocity) {
   struct fjr_comparison* c = &w->comparison;
   const struct wires v = as_measured();
+  int32_t efforts[N];
   struct sides s;
   for (int row = 0; row < 4 * N; ++row) {
     if (row < 2 * N)
@@ -109,6 +110,11 @@ static int begin_comparison(const struct fjr_model* m, struct fjr_wiring* w, con
   }
   for (int i = 0; i < N; ++i) /* the spring is in both equations */
     c->suspected[i] = (c->suspected[i] || c->suspected[N + i]) && !w->right[i];
+  for (int j = 0; j < N; ++j) { /* an effort is in the equations of all motors that it drives */
+    efforts[j] = 0;
+    for (int i = 0; i < N; ++i) efforts[j] |= m->B_m[i * N + j] != 0 && c->suspected[N + i];
+  }
+  for (int j = 0; j < N; ++j) c->suspected[N + j] = efforts[j];
   for (int row = 0; row < 4 * N; ++row) w->right[row] |= c->agrees[row];
   return 1;
 }
@@ -156,6 +162,15 @@ static void undo_fault(const struct fjr_model* m, const struct fjr_wiring_fault*
   }
 }
 
+/* Return whether a fault concerns joint i: it is named, or one of its efforts drives the motor of i. */
+static int concerns(const struct fjr_model* m, const struct fjr_wiring_fault* fault, int i) {
+  for (int k = 0; k < fault->count; ++k) {
+    const int j = fault->joint[k];
+    if (fault->kind <= FJR_EFFORTS_EXCHANGED ? m->B_m[i * N + j] != 0 : i == j) return 1;
+  }
+  return 0;
+}
+
 static int same_joints(const struct fjr_wiring_fault* a, const struct fjr_wiring_fault* b) {
   if (a->kind != b->kind || a->count != b->count) return 0;
   for (int k = 0; k < a->count; ++k)
@@ -177,7 +192,7 @@ static void keep_explanation(struct fjr_comparison* c, const struct fjr_wiring_f
   }
 }
 
-/* Undo a fault in the window, and keep it if it explains the rows of its joints; return the number of operations. */
+/* Undo a fault in the window, and keep it if it explains the rows that it concerns; return the number of operations. */
 static int try_hypothesis(const struct fjr_model* m, struct fjr_comparison* c, const struct arm* measured,
                           const struct fjr_wiring_fault* fault) {
   const int count = c->intervals, moved = fault->kind > FJR_EFFORTS_EXCHANGED && !fault->side; /* links */
@@ -190,16 +205,15 @@ static int try_hypothesis(const struct fjr_model* m, struct fjr_comparison* c, c
   undo_fault(m, fault, &v, changed);
   if (moved && !evaluate_arm(m, c, &v, &undone)) return work;
   if (moved) arm = &undone;
-  for (int k = 0; k < 2 * fault->count; ++k) {
-    const int row = fault->joint[k / 2] + k % 2 * N;
+  for (int row = 0; row < 2 * N; ++row) {
+    if (!concerns(m, fault, row % N)) continue;
     if (changed[row]) torque_row(m, c, &v, arm, row, 0, &s);
     before += c->squares[row], left += changed[row] ? squares(&s) : c->squares[row];
   }
   if (!(CLOSER * left < before)) return work;
   for (int pass = 0; pass < 2; ++pass) /* the joints of the fault, which must fit, then all others */
     for (int row = 0; row < 2 * N; ++row) {
-      int own = 0;
-      for (int k = 0; k < fault->count; ++k) own |= fault->joint[k] == row % N;
+      const int own = concerns(m, fault, row % N);
       if (own == pass) continue;
       double misfit = c->misfit[row];
       if (changed[row]) {
