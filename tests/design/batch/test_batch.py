@@ -28,6 +28,7 @@ from fuzzing import refused
 PERIOD = 1e-3
 AGREE = 1e-9
 SINGLE, PLANAR = (ARMS[0], linear(1).gains), (ARMS[-1], linear(2).gains)
+PLANAR_COUPLED = fjr.planar_two_link(input_gain=[[0.5, 0.5], [0.5, -0.5]]), linear(2).gains
 LATE = [(*SINGLE, 0.3e-3), (*SINGLE, 2.6e-3), (*PLANAR, 0.0), (*PLANAR, 1e-3)]
 LATE += [(arm7(), scaled_gains(arm7()).gains, 2.6e-3)]
 
@@ -77,6 +78,13 @@ def test_effort_noise_is_that_of_all_changes_from_the_settling_on(settle_after: 
     result, recorded = paper_loop(duration=0.03, settle_after=settle_after).recorded(Draws(1, velocity_noise=0.1))
     changes = np.diff(recorded.u[0, :, 0])[max(round(settle_after / PERIOD), 1) - 1 :]
     assert result.effort_noise[0, 0] == pytest.approx(np.sqrt(np.mean(changes**2) / 2), rel=1e-12)
+
+
+def test_power_is_that_of_the_torques_of_motors_that_the_input_matrix_couples() -> None:
+    result, recorded = loop_of(*PLANAR_COUPLED, duration=0.2).recorded(Draws(1))
+    dq_m = np.array([PLANAR_COUPLED[0].velocities(x)[1] for x in recorded.x[0]])
+    torque = recorded.u[0] @ np.array([[0.5, 0.5], [0.5, -0.5]]).T
+    assert result.power[0] == pytest.approx(np.abs((torque * dq_m).sum(axis=1)).mean(), rel=1e-12)
 
 
 def test_final_error_settling_time_and_power_match_their_definitions() -> None:

@@ -55,7 +55,7 @@ class Outcomes:
     the errors over the last second. settling (k,) [s]: instant after which every error stays within ClosedLoop.band;
     inf: never. effort_rms, effort_peak (k, n) [N m]: from the start. effort_noise (k, n) [N m]: RMS of
     (u_k - u_(k-1)) / 2^(1/2) after settle_after, the standard deviation of white noise in the effort. power (k,) [W]:
-    mean of |u' dq_m|.
+    mean of |u' B_m' dq_m|.
     For a run that is not stable, rms, peak, final and settling are inf and the others cover the run up to lost_at.
     stopped (k,) [s]: time at which a limit stopped the controller, inf: none. cause (k,): of the stop, e.g. "link
     velocity", else empty. A stopped run continues under the stop policy, and its error may exceed ClosedLoop.lost.
@@ -300,6 +300,7 @@ class ClosedLoop:
             "band": self.band,
             "gains": np.ascontiguousarray(self.law.gain_values, dtype=float),
             "position": np.array(self.x0)[: 2 * n],
+            "B_m": np.ascontiguousarray(self.robot.B_m),
             "velocity": np.hstack(self.robot.velocities(self.x0)),
             "parameters": (parameters := parametric_robot.vector(parts)),
             "width": parameters.shape[1],

@@ -104,12 +104,13 @@ static int add_errors(const struct fjr_batch* b, struct run* r, const double* q_
 static void add_efforts(const struct fjr_batch* b, struct run* r, const double* u, const double* velocity) {
   struct sums* s = &r->sums;
   const double* last = r->sample > 0 && r->sample >= b->first ? r->ring + (r->sample - 1) % b->ring * N : u;
-  double power = 0;
+  double drive[N], power = 0;
+  multiply(drive, b->B_m, u);
   for (int i = 0; i < N; ++i) {
     s->effort_rms[i] += u[i] * u[i];
     s->effort_peak[i] = fmax(s->effort_peak[i], fabs(u[i]));
     s->effort_noise[i] += (u[i] - last[i]) * (u[i] - last[i]) / 2;
-    power += u[i] * velocity[N + i];
+    power += drive[i] * velocity[N + i];
   }
   *s->power += fabs(power);
 }

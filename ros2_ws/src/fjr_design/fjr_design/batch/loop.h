@@ -19,6 +19,7 @@ struct fjr_batch {
   const struct fjr_settings* settings;
   const struct fjr_reference* reference;
   const double *gains, *position, *velocity; /* at the start (2 N) */
+  const double* B_m;                         /* of the plants, by rows */
   struct fjr_plant plain, full;
   const double *parameters, *sensing, *limit; /* of each run (width), (3), (N) */
   const uint8_t* is_full;                     /* true: the plant of a run is `full` */

@@ -247,8 +247,8 @@ Metrics = dict[str, Any]
 
 rms [rad]: RMS over time and joints of q_l - q_ld; relative: rms divided by the RMS of the motion. peak [rad]: of the
 worst joint. settling [s]. effort_rms [N m]: over time and joints; effort_peak [N m]: of any joint. power [W]: mean of
-|u' dq_m|. steady [rad]: mean error of the worst joint over the last second. All are None for a run that is not stable.
-stopped: the limit that stopped the controller, None if none did; such a run does not track.
+|u' B_m' dq_m|. steady [rad]: mean error of the worst joint over the last second. All are None for a run that is not
+stable. stopped: the limit that stopped the controller, None if none did; such a run does not track.
 """
 
 
