@@ -13,7 +13,7 @@ from core.oracles.chains import ARM7, ARM7_JOINTS
 from fjr_core.model.robot import JointLimits
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.urdf.typical_joints import FASTEST_LINK, LARGEST_DEFLECTION, MOTOR_FREQUENCY, typical_joints
-from fjr_design.scaffold.first_loop import DELAY_MARGIN, EFFORT, RANGE, VELOCITY, first_gains, first_motion
+from fjr_design.scaffold.first_loop import DELAY_MARGIN, EFFORT, RANGE, VELOCITY, first_gains, first_motion, proposal_of
 from two_link_urdf import JOINTS, two_link_urdf
 
 
@@ -49,6 +49,16 @@ def test_a_spring_gives_a_degree_at_the_effort_limit_unless_the_joint_carries_li
 def test_guesses_without_effort_limits_are_finite() -> None:
     typical = typical_joints(two_link(effort=np.inf))
     assert np.all(np.isfinite(typical.stiffness) & (typical.stiffness > 0))
+
+
+@pytest.mark.parametrize("gain", [0.25, 4.0])
+def test_an_input_gain_with_limits_in_its_efforts_changes_no_first_loop(gain: float) -> None:
+    plain, geared = (two_link(lower=0.5, upper=0.9, effort=effort) for effort in (8.0, 8.0 / gain))
+    geared = replace(geared, B_m=gain * np.eye(2))
+    one, other = (proposal_of(robot, JOINTS, "arm") for robot in (plain, geared))
+    assert other.motion.offset == pytest.approx(one.motion.offset, rel=1e-12)
+    assert other.motion.amplitude == pytest.approx(one.motion.amplitude, rel=1e-12)
+    assert other.q_l == pytest.approx(one.q_l, rel=1e-9)
 
 
 @pytest.mark.parametrize("limits", [{}, {"velocity": 0.05}, {"effort": 6.0}, {"lower": 0.5, "upper": 0.9}])

@@ -305,7 +305,7 @@ def _limits(scenario: Scenario) -> dict[str, str]:
     law = TrackingLaw(robot, scenario.gains) if isinstance(scenario.law, TrackingLaw) else scenario.law  # not compiled
     position, velocity = scenario.x0[: 2 * robot.n], np.concatenate(scenario.plant.robot.velocities(scenario.x0))
     first = np.abs(law.measured_command(position, velocity, reference.jets(0.0))[0])
-    weight = np.abs([robot.grad_P_l(q_l) for q_l in reference.configurations(64)]).max(axis=0)
+    weight = np.abs([np.linalg.solve(robot.B_m, robot.grad_P_l(q)) for q in reference.configurations(64)]).max(axis=0)
     unit = joined(each.effort for each in robot.units)
     return {
         "reference": f"{within('position', outside[0])}; {within('velocity', outside[1])}",

@@ -64,12 +64,12 @@ def proposal_of(robot: Robot, joints: Sequence[str], name: str, delay: float = 0
 def _start(robot: Robot, motion: Sine, gains: Gains) -> tuple[Array, Array]:
     """Return a start at rest beside the motion, towards its middle; the first effort is within the limits."""
     law, jets = TrackingLaw(robot, gains), motion.jets(0.0)
-    limits = _effort_limits(robot)
     error = START_ERROR * np.asarray(motion.amplitude)
     for _ in range(HALVINGS[1]):
         position = rest_position(robot, np.asarray(jets[0]) + error)
         effort = np.abs(law.measured_command(position, np.zeros(2 * robot.n), jets)[0])
-        if np.all(effort <= np.maximum(START_EFFORT * limits, 1.1 * np.abs(robot.grad_P_l(position[: robot.n])))):
+        weight = np.abs(np.linalg.solve(robot.B_m, robot.grad_P_l(position[: robot.n])))
+        if np.all(effort <= np.maximum(START_EFFORT * _effort_limits(robot), 1.1 * weight)):
             break
         error = error / 2
     return position[: robot.n], position[robot.n :]
@@ -118,7 +118,7 @@ def _pose(robot: Robot, joints: Sequence[str]) -> Array:
     lower, upper = bounds_of(robot)
     low, high = lower + MARGIN * (upper - lower), upper - MARGIN * (upper - lower)
     poses = np.clip(sample_configurations(robot, POSES), low, high)
-    shares = np.abs([robot.grad_P_l(pose) for pose in poses]) / _effort_limits(robot)
+    shares = np.abs([np.linalg.solve(robot.B_m, robot.grad_P_l(q)) for q in poses]) / _effort_limits(robot)
     easy = shares.max(axis=1) <= EASY_WEIGHT
     best = int(np.argmax(easy) if easy.any() else np.argmin(shares.max(axis=1)))
     worst = int(np.argmax(shares[best]))
