@@ -319,3 +319,14 @@ def test_the_motion_of_springs_with_a_curve_keeps_their_limits(tmp_path: Path, c
     zeta = np.abs(run.x[:, 2:4] - run.x[:, :2]).max(axis=0)
     assert np.all(zeta <= [0.1, 0.06])
     assert np.abs(run.x[:, :2] - run.jets[:, 0]).max() < 2e-3
+
+
+def test_coupled_joints_are_refused_before_any_record_is_judged(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    """The torque of the other joint's spring looked like a wrong gear ratio. This record is of another robot."""
+    robot = "{file: package://fjr_bringup/robots/two_link.yaml, joint_stiffness: [40.0, 5.0, 5.0, 25.0]}"
+    (tmp_path / "coupled.yaml").write_text(f"/**: {{ros__parameters: {{robot: {robot}}}}}\n", encoding="utf-8")
+    run = shared_run(tmp_path_factory, "paper_k31")
+    said = fjr_here("identify", str(run), "--robot", str(tmp_path / "coupled.yaml"), code=2)
+    assert said.splitlines()[-1] == "fjr: K is not diagonal; expected one number per joint"

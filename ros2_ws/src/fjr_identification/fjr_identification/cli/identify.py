@@ -62,10 +62,10 @@ def identify(
             f"{nominal.path}: {nominal.joints[i]} {seen}; expected the inertia of its links in the URDF, or a robot "
             "file in which the joint is locked"
         )
+    prior = Prior.of(nominal.robot, {SMOOTHING: nominal.smoothing})
     reading = Reading(read_map(mapping, nominal.joints) if mapping else None, start, duration, accepted)
     motions, notes = _read(records, nominal, reading)
     predicted, more = _read(hold_outs, nominal, reading)
-    prior = Prior.of(nominal.robot, {SMOOTHING: nominal.smoothing})
     with _progress() as progress:
         identification = identification_of(motions, nominal.robot, prior, options, progress)
     compared = [hold_out(identification, record, nominal.robot, prior, options) for record in predicted]
