@@ -140,8 +140,7 @@ class ExcitationDesign:
     @cached_property
     def _M_l(self) -> Array:
         """Mean diagonal of the link inertia at positions spread evenly within the limits."""
-        low, high = self.limits.lower[0], self.limits.upper[0]
-        poses = np.random.default_rng(0).uniform(low, high, (POSES, self.robot.n))
+        poses = np.random.default_rng(0).uniform(self.limits.lower[0], self.limits.upper[0], (POSES, self.robot.n))
         return np.mean([np.diag(self.robot.M_l(q_l)) for q_l in poses], axis=0)
 
     @cached_property
