@@ -219,9 +219,10 @@ def test_the_defaults_of_a_user_of_colcon_do_not_change_the_build(
 
 
 SLEEPING = """
-import os, sys
+import os, signal, sys
 from pathlib import Path
 from envsetup import cli, commands
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a suite in the background of a shell ignores
 sleep = ["sh", "-c", "echo $$ > part && mv part begun && exec sleep 1000"]
 cli.set_up = lambda *_: commands.run("sleep", sleep, Path("log"), dict(os.environ), "sleep failed")
 sys.exit(cli.main(["build"]))
