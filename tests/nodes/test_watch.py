@@ -112,9 +112,9 @@ def test_names_and_sentences_of_other_nodes_do_not_steer_the_terminal() -> None:
     assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]", shown)
 
 
-def received(times: Iterable[tuple[int, int]], ahead: int = 0) -> list[tuple[int, int, int]]:
-    """Return stamps and send times [ns] with receive times 50 us later; ahead [ns]: of the sender's clock."""
-    return [(stamp, time + ahead, time + 50_000) for stamp, time in times]
+def received(times: Iterable[tuple[int, int]], ahead: int = 0, delay: int = 50_000) -> list[tuple[int, int, int]]:
+    """Return stamps and send times [ns] with receive times `delay` later; ahead [ns]: of the sender's clock."""
+    return [(stamp, time + ahead, time + delay) for stamp, time in times]
 
 
 @pytest.mark.parametrize("ahead", [5000 * MS, -5000 * MS, 2 * MS])
@@ -123,6 +123,13 @@ def test_the_latency_does_not_depend_on_the_clock_of_the_controllers_machine(ahe
     for some in (sent[:700], sent[700:]):
         watched.sent(received(some))
         watched.answered(received(((stamp, time + 200_000) for stamp, time in some), ahead))
+    assert watched.view(5.0).timing.latency == pytest.approx((2e-4, 2e-4, 2e-4))
+
+
+def test_on_one_machine_the_latency_does_not_depend_on_the_delays_to_the_watching_process() -> None:
+    watched, sent = Watched("t"), [(k * MS, k * MS + 100) for k in range(1, 101)]
+    watched.sent(received(sent))
+    watched.answered(received(((stamp, time + 200_000) for stamp, time in sent), delay=300_000))
     assert watched.view(5.0).timing.latency == pytest.approx((2e-4, 2e-4, 2e-4))
 
 

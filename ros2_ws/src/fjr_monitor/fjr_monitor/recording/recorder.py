@@ -145,9 +145,7 @@ def qos_as_dict(profile: QoSProfile) -> dict[str, Any]:
         return {"sec": sec, "nsec": nsec}
 
     return {
-        **{
-            name: getattr(profile, name).name.lower() for name in ("history", "reliability", "durability", "liveliness")
-        },
+        **{key: getattr(profile, key).name.lower() for key in ("history", "reliability", "durability", "liveliness")},
         **{key: seconds(getattr(profile, key)) for key in ("deadline", "lifespan", "liveliness_lease_duration")},
         **{key: getattr(profile, key) for key in ("depth", "avoid_ros_namespace_conventions")},
     }

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from fjr_monitor.recording.signals import CLOCKS
 from fjr_msgs_py.names import motor_name
 
 LEVELS = ("ok", "warn", "error", "stale")  # of a diagnostic_msgs/DiagnosticStatus, by number
@@ -217,7 +218,7 @@ class Watched:
         if len(self._sent) < 2:
             return None
         sent = np.array([time for _, time in self._sent], dtype=float) * NANO
-        clocks = self._ahead[1] - self._ahead[0]  # of controller and robot on two machines
+        clocks = ahead if abs(ahead := self._ahead[1] - self._ahead[0]) > CLOCKS else 0  # of two machines
         latencies = [self._answered[stamp] - clocks - time for stamp, time in self._sent if stamp in self._answered]
         pending = self._sent[-1][0] not in self._answered
         unanswered = len(self._sent) - len(latencies) - pending
