@@ -1,8 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
  * Count the calls of allocators, by the library of the thread's first function and by the calling library; preloaded.
+ * The linker allocates a library's thread-local storage when a thread first touches it: for these, that library calls.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <execinfo.h>
 #include <pthread.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -10,6 +12,7 @@
 #include <string.h>
 
 #define ROWS 4096
+#define DEPTH 16
 
 struct row {
   const char *thread, *caller;
@@ -37,10 +40,20 @@ static const char* library_of(void* address) {
   return dladdr(address, &found) ? found.dli_fname : "";
 }
 
+static const char* caller_of_linker(const char* linker) {
+  void* address[DEPTH];
+  const int frames = backtrace(address, DEPTH);
+  int k = 0;
+  while (k < frames && strcmp(library_of(address[k]), linker)) ++k;
+  while (k < frames && !strcmp(library_of(address[k]), linker)) ++k;
+  return k < frames ? library_of(address[k]) : linker;
+}
+
 static void note(void* address) {
   if (!counting || !thread || busy) return;
   busy = 1;
   const char* caller = library_of(address);
+  if (strstr(caller, "/ld-linux")) caller = caller_of_linker(caller);
   pthread_mutex_lock(&lock);
   int k = 0;
   while (k < rows && (row[k].thread != thread || row[k].caller != caller)) ++k;

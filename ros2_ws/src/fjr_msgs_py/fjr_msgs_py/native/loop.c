@@ -211,6 +211,7 @@ static void* run(void* at) {
   struct fjr_loop* loop = at;
   int outcome = FJR_GO_ON;
   schedule(loop->priority);
+  rcl_reset_error(); /* its first call in a thread allocates */
   while (!stopping(loop) && (outcome = one_round(loop)) == FJR_GO_ON)
     if (!waiting(loop)) wait_until(loop, loop->next);
   loop->call.on_end(loop->call.self, outcome);
