@@ -19,7 +19,7 @@ from std_msgs.msg import Float64MultiArray
 from fjr_core import TrackingLaw
 from fjr_core.monitoring.certificate import Certificate, Prediction
 from fjr_core.numerics.jit import CLibrary
-from fjr_core.robust.law import Robust
+from fjr_core.robust.options import Robust
 from fjr_core.runtime.library import CertificateStruct
 from fjr_monitor.diagnosis.online_diagnosis import EffortLimits, Latency, LatestIntervals, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED, JointTolerances

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from fjr_core.config.parameter import vector
-from fjr_core.model.robot import Units
+from fjr_core.model.joints import Units
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import Command
 from fjr_core.runtime.events import State

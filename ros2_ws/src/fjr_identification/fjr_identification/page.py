@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fjr_core.model.robot import Units
+from fjr_core.model.joints import Units
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import DEFLECTION, IDENTIFIED, UNKNOWN, WEAK, Estimate, Fit, Identification
 from fjr_monitor.report import html

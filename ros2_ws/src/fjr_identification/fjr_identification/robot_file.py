@@ -25,12 +25,12 @@ from fjr_core.config.robot import CUBIC, FILE, GUESSES, guessed_joints, robot_pa
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot_file import URDF, merged
 from fjr_core.errors import GainsError, TrajectoryError, prefixed
-from fjr_core.files.text_file import read_text
+from fjr_core.files.text_file import is_xml, read_text
 from fjr_core.model.rigid_arm import Body, rotation_to
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, largest_load
-from fjr_core.urdf.tree import is_xml, parse_xml, read_urdf
+from fjr_core.urdf.tree import parse_xml, read_urdf
 from fjr_design.scaffold.files import path_from
 from fjr_design.scaffold.first_loop import RATE, Proposal, proposal_of
 from fjr_design.uncertainty.posterior import MATRICES, UNKNOWN, Estimate, Identification

@@ -13,10 +13,10 @@ from fjr_core import FjrError, ParameterError, Plant, Robot, StateError
 from fjr_core.config.plant import Obstacle, channel_errors, obstacle, period_jitter, random_seed, sensor_errors
 from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.model.springs import hardening
+from fjr_core.numerics.c_function import CFunction, WorkSpace
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import machine_code
 from fjr_core.numerics.symbolic import not_converged
-from fjr_core.runtime.library import CFunction, WorkSpace
 from fjr_core.simulation.imperfections import (
     ChannelErrors,
     Imperfections,

@@ -18,7 +18,8 @@ from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..numerics.checks import is_diagonal
 from ..numerics.parameter_field import declared
-from ..robust.law import Robust, sampled_law
+from ..robust.law import sampled_law
+from ..robust.options import Robust
 from ..stability.linearization import refuse_fast_integral
 from .parameter import LIST, VECTOR, Parameter, Values, named, number, options, read
 from .reference import reference

@@ -15,13 +15,13 @@ import numpy as np
 
 from ..errors import FjrError, ParameterError, prefixed
 from ..extensions.python_code import own_plant
+from ..files.text_file import is_xml
 from ..model.port_hamiltonian import Plant
 from ..model.robot import Robot
 from ..numerics.checks import Array
 from ..numerics.integrators import INTEGRATORS
 from ..numerics.parameter_field import POINT, declared, parameter_field
 from ..simulation.imperfections import ChannelErrors, Imperfections, SensorErrors
-from ..urdf.tree import is_xml
 from .parameter import VECTOR, Parameter, Values, number, options, read, table
 from .process import process_parameters
 from .robot import description, locked_positions

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError, TrajectoryError, prefixed
-from ..files.motion_table import is_text, motion_text, read_motion
+from ..files.motion_table import motion_text, read_motion
+from ..files.text_file import is_lines
 from ..model.robot import Robot
 from ..motions.inverse_dynamics import EffortDemand, effort_demand
 from ..motions.point_to_point import Circle, Hold, PointToPoint
@@ -66,7 +67,7 @@ def _motion(path: str, tolerance: tuple[float, ...], joints: tuple[str, ...]) ->
 def motion_inlined(values: Mapping[str, object], joints: tuple[str, ...]) -> dict[str, object]:
     """Return the values with the text of the motion in place of its path; raise ParameterError."""
     path = values.get(FILE_PATH.name)
-    if not isinstance(path, str) or not path or is_text(path):
+    if not isinstance(path, str) or not path or is_lines(path):
         return dict(values)
     with prefixed(f"parameter '{FILE_PATH.name}': ", TrajectoryError):
         return {**values, FILE_PATH.name: motion_text(read_motion(path, joints), joints)}

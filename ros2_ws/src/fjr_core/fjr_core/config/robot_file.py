@@ -12,9 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ..errors import ParameterError, prefixed
-from ..files.motion_table import is_text
-from ..files.text_file import read_text
-from ..urdf.tree import is_xml
+from ..files.text_file import is_lines, is_xml, read_text
 from . import ros_yaml
 
 FILE, URDF, MOTION, OBSTACLE = "robot.file", "robot.urdf", "reference.file.path", "obstacle.mjcf"
@@ -93,7 +91,7 @@ def absolute(given: Mapping[str, object], folder: Path) -> dict[str, object]:
     values = dict(given)
     for name in (FILE, URDF, MOTION, OBSTACLE):
         reference = values.get(name)
-        if isinstance(reference, str) and reference and not is_xml(reference) and not is_text(reference):
+        if isinstance(reference, str) and reference and not is_xml(reference) and not is_lines(reference):
             with prefixed(f"parameter '{name}': "):
                 values[name] = str(resolve(reference, folder))
     return values

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import LONGEST, TrajectoryError
-from .text_file import read_text
+from .text_file import is_lines, read_text
 
 TIME, VELOCITY = "time", "_velocity"
 """Name of the column of times, and the end of the name of a joint's velocity column."""
@@ -42,7 +42,7 @@ def read_motion(path: str | os.PathLike[str], joints: Sequence[str]) -> MotionTa
     Raises TrajectoryError, which names file, line (or row) and column.
     """
     name = os.fspath(path)
-    if is_text(name):
+    if is_lines(name):
         return parse_motion(name, joints)
     try:
         return _parquet_motion(name, joints) if name.endswith(PARQUET) else parse_motion(read_text(path), joints)
@@ -67,11 +67,6 @@ def parse_motion(text: str, joints: Sequence[str]) -> MotionTable:
         numbers.append(number)
     values = np.array(rows, dtype=float).reshape(len(rows), len(columns))
     return motion_table(values, joints, lambda i: f"line {numbers[i]}")
-
-
-def is_text(path: str) -> bool:
-    """Return True if a value is the text of a CSV file, not a path."""
-    return "\n" in path
 
 
 def motion_text(table: MotionTable, joints: Sequence[str]) -> str:

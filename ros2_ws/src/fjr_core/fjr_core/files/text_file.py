@@ -18,6 +18,16 @@ _OPEN = os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0)  # a named pip
 DIGEST = ".sha256"
 
 
+def is_lines(value: str) -> bool:
+    """Return True for the text of a table, False for a path."""
+    return "\n" in value
+
+
+def is_xml(value: str) -> bool:
+    """Return True for XML text, False for a path."""
+    return value.lstrip("\ufeff \t\r\n").startswith("<")
+
+
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
     """Return the content of a regular file of at most LARGEST bytes.
 

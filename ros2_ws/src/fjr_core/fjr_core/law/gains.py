@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Define the gains of v-dPBC, check conditions (32) and (41), and represent the gains in the equations of a law."""
+"""Define the gains of v-dPBC and check conditions (32) and (41)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import partial
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -141,41 +139,6 @@ def relative_eigenvalues(A: Array, B: Array) -> Array:
     """Return the eigenvalues (n,) of A v = lambda B v in ascending order; A symmetric, B positive definite."""
     L_inverse = np.linalg.inv(np.linalg.cholesky(B))
     return np.asarray(np.linalg.eigvalsh(L_inverse @ A @ L_inverse.T), dtype=float)
-
-
-class ArraySymbols:
-    """Symbols for named arrays, so that one function serves all values with this sparsity pattern.
-
-    A square matrix that is diagonal on construction must stay diagonal.
-    """
-
-    def __init__(self, arrays: Mapping[str, Array]) -> None:
-        self._shapes = {name: _shape(array) for name, array in arrays.items()}
-        self.by_name = {name: ca.SX.sym(name, shape) for name, shape in self._shapes.items()}
-        self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in self.by_name.values()))
-
-    @property
-    def pattern(self) -> str:
-        """Description of which arrays are diagonal."""
-        return str({name: shape.is_diag() for name, shape in self._shapes.items()})
-
-    def values(self, arrays: Mapping[str, Array]) -> Array:
-        """Return the values of the symbols in `vector`; raise GainsError for another sparsity pattern."""
-        parts: list[float] = []
-        for name, shape in self._shapes.items():
-            if shape.is_square() and shape.is_diag() and not checks.is_diagonal(arrays[name]):
-                raise GainsError(
-                    f"{name.removesuffix('_inverse')} has entries off the diagonal; expected a diagonal matrix, "
-                    "as when the law was built"
-                )
-            parts += ca.project(ca.DM(arrays[name]), shape).nonzeros()
-        return np.array(parts, dtype=float)
-
-
-def _shape(array: Array) -> ca.Sparsity:
-    if array.ndim == 2 and array.shape[0] == array.shape[1] and checks.is_diagonal(array):
-        return ca.Sparsity.diag(len(array))
-    return ca.Sparsity.dense(*(array.shape if array.ndim == 2 else (len(array), 1)))
 
 
 def two_scale_gains(robot: Robot, q_0: Array, omega: float, zeta: float, sample_period: float = 1e-3) -> Gains:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -11,14 +12,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import StateError
+from ..errors import GainsError, StateError
 from ..model.robot import Robot, check_robot
 from ..motions.reference import JETS
-from ..numerics.checks import Array, instance
+from ..numerics.checks import Array, instance, is_diagonal
 from ..numerics.jit import compiled
 from ..numerics.one_line import joints, one_line
 from ..numerics.symbolic import dense_function, evaluate
-from .gains import ArraySymbols
 from .lie_derivative import Flow
 
 Law = TypeVar("Law", bound="StaticLaw")
@@ -201,3 +201,38 @@ def check_law(law: object) -> None:
     expected = "a law of fjr_core, e.g. fjr.TrackingLaw(robot, gains), fjr.PythonLaw(own, robot), "
     expected += "or an object of a subclass of fjr_core.law.interfaces.SampledLaw"
     instance("law", law, SampledLaw, StateError, expected)
+
+
+class ArraySymbols:
+    """Symbols for named arrays, so that one function serves all values with this sparsity pattern.
+
+    A square matrix that is diagonal on construction must stay diagonal.
+    """
+
+    def __init__(self, arrays: Mapping[str, Array]) -> None:
+        self._shapes = {name: _shape(array) for name, array in arrays.items()}
+        self.by_name = {name: ca.SX.sym(name, shape) for name, shape in self._shapes.items()}
+        self.vector = ca.vertcat(*(ca.vertcat(*symbol.nonzeros()) for symbol in self.by_name.values()))
+
+    @property
+    def pattern(self) -> str:
+        """Description of which arrays are diagonal."""
+        return str({name: shape.is_diag() for name, shape in self._shapes.items()})
+
+    def values(self, arrays: Mapping[str, Array]) -> Array:
+        """Return the values of the symbols in `vector`; raise GainsError for another sparsity pattern."""
+        parts: list[float] = []
+        for name, shape in self._shapes.items():
+            if shape.is_square() and shape.is_diag() and not is_diagonal(arrays[name]):
+                raise GainsError(
+                    f"{name.removesuffix('_inverse')} has entries off the diagonal; expected a diagonal matrix, "
+                    "as when the law was built"
+                )
+            parts += ca.project(ca.DM(arrays[name]), shape).nonzeros()
+        return np.array(parts, dtype=float)
+
+
+def _shape(array: Array) -> ca.Sparsity:
+    if array.ndim == 2 and array.shape[0] == array.shape[1] and is_diagonal(array):
+        return ca.Sparsity.diag(len(array))
+    return ca.Sparsity.dense(*(array.shape if array.ndim == 2 else (len(array), 1)))

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property, reduce
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,10 +14,11 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError, StateError
 from ..numerics import checks, symbolic
-from ..numerics.checks import Array, freeze, limits
-from ..numerics.one_line import brief, joints, one_line
+from ..numerics.checks import Array
+from ..numerics.one_line import brief, joints
 from ..numerics.symbolic import dense_function, evaluate, symbols
 from . import springs
+from .joints import PRISMATIC, REVOLUTE, JointLimits, Units
 from .rigid_arm import ArmDynamics, RigidArm
 
 
@@ -224,56 +223,3 @@ class Robot(Elastic):
 def check_robot(robot: object) -> None:
     """Raise RobotError unless `robot` is a Robot."""
     checks.instance("robot", robot, Robot, RobotError, "a robot, e.g. fjr.single_link()")
-
-
-@dataclass(frozen=True, eq=False)
-class JointLimits:
-    """Limits of n joints, each (n,): positions lower, upper [rad], velocity [rad/s] and effort [N m], both > 0.
-
-    Prismatic joints use m and N. An infinite value means no limit. Raises RobotError.
-    """
-
-    lower: Array
-    upper: Array
-    velocity: Array
-    effort: Array
-
-    __repr__ = one_line
-
-    def __post_init__(self) -> None:
-        n = int(np.size(self.lower))
-        for name in ("lower", "upper", "velocity", "effort"):
-            freeze(self, name, limits(f"{name} limit", getattr(self, name), n, RobotError))
-        if not np.all(self.lower <= self.upper):
-            raise RobotError(f"lower is {self.lower.tolist()}, upper {self.upper.tolist()}; expected lower <= upper")
-        for name in ("velocity", "effort"):
-            if not np.all(getattr(self, name) > 0):
-                raise RobotError(f"{name} limit is {getattr(self, name).tolist()}; expected positive numbers")
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.lower)
-
-
-class Units(NamedTuple):
-    """Units of the quantities of one joint."""
-
-    position: str
-    velocity: str
-    acceleration: str
-    effort: str
-
-    def of(self, text: str) -> str:
-        """Return a text, which has the units of a revolute joint such as N m s/rad, in those of this joint."""
-        pairs = () if self == REVOLUTE else ((r"\bN m\b", "N"), (r"\b(m?)rad\b", r"\1m"), (r"\bkg m\^2", "kg"))
-        return reduce(lambda said, pair: re.sub(pair[0], pair[1], said), pairs, text)
-
-
-REVOLUTE = Units("rad", "rad/s", "rad/s^2", "N m")
-PRISMATIC = Units("m", "m/s", "m/s^2", "N")
-
-
-def joined(units: Iterable[str]) -> str:
-    """Return the distinct units of several joints, separated by commas, as in "rad, m"."""
-    return ", ".join(dict.fromkeys(units))

@@ -15,29 +15,26 @@ Velocities of an observer of bandwidth w [rad/s] add the low-pass w^2 / (s + w)^
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from functools import cached_property
 from math import erfc, exp, gamma, sqrt
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
 from ..model import springs
 from ..model.rigid_arm import RigidArm
 from ..model.robot import Robot
+from ..numerics.c_function import CFunction, WorkSpace
 from ..numerics.checks import Array, positive
 from ..numerics.jit import compiled_from_inputs
-from ..numerics.one_line import brief, one_line
-from ..numerics.parameter_field import VECTOR, parameter_field
+from ..numerics.one_line import brief
 from ..numerics.symbolic import PackedVector, dense_function, symbols
 from ..robust.disturbance_observer import momenta, next_residual
-from ..runtime.library import CFunction, WorkSpace
 from ..runtime.velocity_observer import LONGEST_GAP
 from ..simulation.deviations import ChangedLinks, has_bodies
-from ..simulation.imperfections import freeze_within_ranges
+from ..simulation.imperfections import StatedErrors
 
 
 class ExternalTorqueObserver:
@@ -119,38 +116,6 @@ LEARNING_PERIOD = 3.0
 """Time between two updates of d^, in 1 / bandwidth: r then forgets its noise to 5 %."""
 DRIFT = 600.0
 """Time [s] in which the errors may drift to others of the same distribution."""
-
-
-def _stated(default: float, description: str, unit: str = "", minimum: float = 0.0) -> Any:
-    return parameter_field(
-        default, f"Standard deviation of {description}", unit, minimum=minimum, maximum=1e6, shape=VECTOR
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class StatedErrors:
-    """Standard deviations of the errors of the model of n joints; each field is a scalar or (n,), stored as (n,).
-
-    Shares are relative to the value of the model. Raises ParameterError unless all are at least 0, and the noise above.
-    """
-
-    n: int
-    link_mass: ArrayLike = _stated(0.05, "mass and inertia of each link, as a share")
-    joint_stiffness: ArrayLike = _stated(0.05, "joint_stiffness, as a share")
-    link_damping: ArrayLike = _stated(0.3, "link_damping, as a share")
-    link_coulomb_friction: ArrayLike = _stated(0.1, "the Coulomb friction of the links", "N m")
-    link_torque: ArrayLike = _stated(0.1, "a constant torque on each link, as by an offset of an encoder", "N m")
-    torque_noise: ArrayLike = _stated(0.1, "~/external_torque at standstill", "N m", 1e-9)
-
-    __repr__ = one_line
-
-    def __post_init__(self) -> None:
-        freeze_within_ranges(self, self.n)
-
-    @property
-    def deviations(self) -> Array:
-        """Standard deviations (m,) of the errors of the model, kind by kind."""
-        return np.concatenate([np.asarray(getattr(self, each.name)) for each in fields(self)[1:-1]])
 
 
 def chi_squared_quantile(n: int, beyond: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import TrajectoryError
-from ..model.robot import REVOLUTE, JointLimits, Units
+from ..model.joints import REVOLUTE, JointLimits, Units
 from ..numerics.checks import Array, freeze, instance, limits
 from ..numerics.one_line import one_line
 from .piecewise_polynomial import PolynomialReference

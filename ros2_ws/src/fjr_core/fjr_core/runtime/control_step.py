@@ -17,7 +17,8 @@ from ..motions.reference import JETS, Reference
 from ..numerics.checks import Array
 from ..numerics.jit import record_type
 from ..numerics.symbolic import NumericFunction
-from ..robust.law import Robust, RobustLaw, sampled_law
+from ..robust.law import RobustLaw, sampled_law
+from ..robust.options import Robust
 from .events import NEVER, STATES, Event, Journal, State
 from .library import Model, law_function, model_functions, settings_struct, step_library
 from .measurement_model import JointSample, Measurement

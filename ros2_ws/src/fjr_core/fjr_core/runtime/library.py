@@ -15,9 +15,10 @@ import numpy as np
 from ..law.interfaces import SampledLaw, StaticLaw
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
+from ..numerics.c_function import CFunction, WorkSpace
 from ..numerics.checks import Array
 from ..numerics.jit import CLibrary, c_library, compiled, machine_code
-from ..numerics.symbolic import bind, dense_function, symbols
+from ..numerics.symbolic import dense_function, symbols
 from .measurement_model import Measurement
 from .safety_settings import GRAVITY_HOLD, REACTIONS, Settings
 from .velocity_observer import VelocityObserver
@@ -44,7 +45,6 @@ SOURCES = (
     "auxiliary_rate.c",
 )
 """The C files in the order of their translation unit."""
-MOST = 8  # arguments, and results, of a function that the C files call
 _NUMBER = re.compile(r"^#define (\w+) ([\d.e+-]+)", re.MULTILINE)
 
 LIMITED = ("link_velocity", "motor_velocity", "deflection", "tracking_error")
@@ -83,52 +83,6 @@ def text(name: str) -> str:
 def constant(name: str) -> float:
     """Return the number of a macro of step.h or of the C files. Raises KeyError."""
     return {found: float(number) for found, number in _NUMBER.findall(c_text(1, 1))}[name]
-
-
-class CFunction:
-    """A CasADi function as a pointer of type fjr_function; it must outlive the C code that calls it.
-
-    failed: called after each evaluation in Python; True if it failed. The pointer then returns 1.
-    """
-
-    def __init__(self, ffi: Any, function: ca.Function, failed: Any = None) -> None:
-        self._ffi, self.function, self._failed = ffi, function, failed
-        address = machine_code(function)
-        if address is None:
-            self._arguments = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
-            self._results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-            self._trigger = bind(function, self._arguments, self._results)
-            self.pointer = ffi.callback("fjr_function", self._evaluate, error=1)
-        else:
-            self.pointer = ffi.cast("fjr_function", address)
-
-    def _evaluate(self, arg: Any, res: Any, _iw: Any, _w: Any, _mem: int) -> int:
-        for i, argument in enumerate(self._arguments):
-            if argument.size and arg[i] != self._ffi.NULL:
-                argument[:] = np.frombuffer(self._ffi.buffer(arg[i], argument.nbytes))
-        try:
-            self._trigger()
-        except RuntimeError:  # a root finder did not converge
-            return 1
-        for i, result in enumerate(self._results):
-            if result.size and res[i] != self._ffi.NULL:
-                np.frombuffer(self._ffi.buffer(res[i], result.nbytes))[:] = result
-        return 1 if self._failed is not None and self._failed() else 0
-
-
-class WorkSpace:
-    """Memory for the temporary values of some functions in C."""
-
-    def __init__(self, ffi: Any, functions: Sequence[ca.Function]) -> None:
-        most = {size: max(1, *(getattr(f, f"sz_{size}")() for f in functions)) for size in ("arg", "res", "iw", "w")}
-        self.arg = ffi.new("const double*[]", max(MOST, most["arg"]))
-        self.res = ffi.new("double*[]", max(MOST, most["res"]))
-        self.iw, self.w = ffi.new("long long[]", most["iw"]), ffi.new("double[]", most["w"])
-
-    def lend(self, struct: Any) -> None:
-        """Let a structure point to the memory."""
-        for name in ("arg", "res", "iw", "w"):
-            setattr(struct, name, getattr(self, name))
 
 
 def settings_struct(library: CLibrary, settings: Settings, law: SampledLaw) -> Any:

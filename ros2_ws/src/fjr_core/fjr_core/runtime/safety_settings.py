@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..model.robot import REVOLUTE, JointLimits, Units
+from ..model.joints import REVOLUTE, JointLimits, Units
 from ..numerics.checks import freeze, joint_names, limits
 from ..numerics.parameter_field import VECTOR, declared, parameter_field
 

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 
 from ..errors import FjrError, StateError, TrajectoryError
 from ..law.interfaces import SampledLaw, StaticLaw, check_law
+from ..model.joints import Units, joined
 from ..model.port_hamiltonian import Plant
-from ..model.robot import Robot, Units, joined
+from ..model.robot import Robot
 from ..motions.reference import JETS, Reference, check_reference
 from ..numerics import checks
 from ..numerics.checks import Array

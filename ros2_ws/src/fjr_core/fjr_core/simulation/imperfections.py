@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checked parameters of the non-ideal plant, its sensors and its message channels; all are off by default.
+"""Checked imperfections of the plant, its sensors and its message channels, and stated errors of the model.
 
-The equations are in nonideal_plant.
+All imperfections are off by default; their equations are in nonideal_plant.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from ..errors import ParameterError
 from ..model.robot import Robot
 from ..numerics import checks
 from ..numerics.checks import Array
+from ..numerics.one_line import one_line
 from ..numerics.parameter_field import POINT, VECTOR, declared, parameter_field
 
 SIZES = {"payload_mass": 1, "payload_position": 3}  # of the others: one entry per joint
@@ -244,3 +245,35 @@ class ChannelErrors:
     def off(self) -> bool:
         """Return whether every item arrives exactly once without delay."""
         return not (self.delay or self.jitter or self.loss or self.repetition)
+
+
+def _stated(default: float, description: str, unit: str = "", minimum: float = 0.0) -> Any:
+    return parameter_field(
+        default, f"Standard deviation of {description}", unit, minimum=minimum, maximum=1e6, shape=VECTOR
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StatedErrors:
+    """Standard deviations of the errors of the model of n joints; each field is a scalar or (n,), stored as (n,).
+
+    Shares are relative to the value of the model. Raises ParameterError unless all are at least 0, and the noise above.
+    """
+
+    n: int
+    link_mass: ArrayLike = _stated(0.05, "mass and inertia of each link, as a share")
+    joint_stiffness: ArrayLike = _stated(0.05, "joint_stiffness, as a share")
+    link_damping: ArrayLike = _stated(0.3, "link_damping, as a share")
+    link_coulomb_friction: ArrayLike = _stated(0.1, "the Coulomb friction of the links", "N m")
+    link_torque: ArrayLike = _stated(0.1, "a constant torque on each link, as by an offset of an encoder", "N m")
+    torque_noise: ArrayLike = _stated(0.1, "~/external_torque at standstill", "N m", 1e-9)
+
+    __repr__ = one_line
+
+    def __post_init__(self) -> None:
+        freeze_within_ranges(self, self.n)
+
+    @property
+    def deviations(self) -> Array:
+        """Standard deviations (m,) of the errors of the model, kind by kind."""
+        return np.concatenate([np.asarray(getattr(self, each.name)) for each in fields(self)[1:-1]])

@@ -17,7 +17,8 @@ from ..model.configuration_sampling import checked_configurations, sample_config
 from ..model.port_hamiltonian import Plant
 from ..numerics.checks import Array, positive
 from ..numerics.one_line import at_least
-from ..robust.law import Robust, sampled_law
+from ..robust.law import sampled_law
+from ..robust.options import Robust
 from .linear_controller import At, Controller, Sensing, controller, momentum_matrix, plant_in_velocities, static
 
 OTHER_LAWS = 64  # configurations at which a law without a closed form is checked

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import RobotError
+from ..model.joints import JointLimits
 from ..model.newton_euler import serial_chain
 from ..model.rigid_arm import ArmDynamics, Body
-from ..model.robot import JointLimits, Robot
+from ..model.robot import Robot
 from ..numerics import checks
 from ..numerics.checks import Array
 from .tree import MOVING, LinkInertia, UrdfJoint, UrdfTree, read_urdf

@@ -18,7 +18,7 @@ from xml.parsers import expat
 import numpy as np
 
 from ..errors import RobotError
-from ..files.text_file import LARGEST, read_bytes
+from ..files.text_file import LARGEST, is_xml, read_bytes
 from ..numerics.checks import Array
 
 MOVING = ("revolute", "continuous", "prismatic")
@@ -149,11 +149,6 @@ def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise RobotError(f"{source} contains xacro commands; expected a plain URDF, the output of the program xacro")
     return root
-
-
-def is_xml(urdf: str) -> bool:
-    """Return True for XML text, False for a path."""
-    return urdf.lstrip("\ufeff \t\r\n").startswith("<")
 
 
 def parse_xml(content: bytes | str) -> ET.Element:

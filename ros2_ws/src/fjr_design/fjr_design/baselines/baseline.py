@@ -22,7 +22,8 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics import checks
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.symbolic import PackedVector, dense_function
-from fjr_core.robust.law import Robust, RobustLaw
+from fjr_core.robust.law import RobustLaw
+from fjr_core.robust.options import Robust
 
 
 class Baseline(StaticLaw):

@@ -24,10 +24,10 @@ from fjr_core.files import importing
 from fjr_core.files.importing import is_named
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.model.robot import joined
+from fjr_core.model.joints import joined
 from fjr_core.motions.motion_limits import beyond
 from fjr_core.numerics.one_line import at_least
-from fjr_core.robust.law import Robust
+from fjr_core.robust.options import Robust
 from fjr_design.cli.preflight import as_list, checked, position_unit, ranges, refusal, start_outside
 from fjr_design.stability.hard_start import HardStart, hard_start
 from fjr_design.stability.sampled_loop import SampledCheck

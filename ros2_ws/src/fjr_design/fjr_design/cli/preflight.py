@@ -10,7 +10,7 @@ from fjr_core.config.scenario import Scenario
 from fjr_core.errors import FjrError, TrajectoryError
 from fjr_core.law.linearized import equilibria_at
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.model.robot import joined
+from fjr_core.model.joints import joined
 from fjr_core.motions.motion_limits import check_motion
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.safety_settings import Settings

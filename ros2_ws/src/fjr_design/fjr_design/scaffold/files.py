@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from fjr_core.config import ros_yaml
 from fjr_core.config.law import gain_values
-from fjr_core.model.robot import joined
+from fjr_core.model.joints import joined
 from fjr_core.numerics.checks import Array
 from fjr_design.scaffold.arm import Arm
 from fjr_design.scaffold.first_loop import RATE, Proposal

@@ -29,7 +29,8 @@ from fjr_core.files.text_file import write_text
 from fjr_core.law.interfaces import SampledLaw, StaticLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import program_digest
-from fjr_core.robust.law import Robust, sampled_law
+from fjr_core.robust.law import sampled_law
+from fjr_core.robust.options import Robust
 from fjr_core.stability.linearization import spectral_radius
 from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.console.output import Result, aligned, finite, progress_bar, tell

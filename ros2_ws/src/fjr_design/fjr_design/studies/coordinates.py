@@ -18,8 +18,8 @@ from fjr_core.errors import ParameterError
 from fjr_core.extensions.law_registry import V_DPBC, law_kind
 from fjr_core.files.importing import is_named
 from fjr_core.law.interfaces import SampledLaw
-from fjr_core.robust.law import GAINS as ROBUST_GAINS
 from fjr_core.robust.law import sampled_law
+from fjr_core.robust.options import GAINS as ROBUST_GAINS
 from fjr_core.runtime.velocity_observer import VelocityObserver
 
 from ..tuning.equal_bandwidth import baseline_target, tune, tuning

@@ -14,7 +14,7 @@ from fjr_core.errors import CompareError, FjrError, ParameterError, prefixed
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.files.importing import is_named
 from fjr_core.files.importing import load as load_class
-from fjr_core.robust.law import Robust
+from fjr_core.robust.options import Robust
 from fjr_msgs_py.scenarios import library
 
 from ..batch.draws import varied

@@ -22,7 +22,7 @@ from fjr_core.config import ros_yaml
 from fjr_core.config.parameter import resembling
 from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError, prefixed
-from fjr_core.model.robot import joined
+from fjr_core.model.joints import joined
 from fjr_core.simulation.deviations import JOINT
 from fjr_core.simulation.imperfections import Imperfections, friction_rate, stuck_rate
 from fjr_msgs_py.scenarios import installed, library

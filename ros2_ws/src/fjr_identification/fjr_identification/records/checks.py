@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.errors import RecordError
-from fjr_core.model.robot import PRISMATIC, REVOLUTE, Robot
+from fjr_core.model.joints import PRISMATIC, REVOLUTE
+from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 

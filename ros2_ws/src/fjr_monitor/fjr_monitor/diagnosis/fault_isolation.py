@@ -17,9 +17,10 @@ import numpy as np
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import jit
+from fjr_core.numerics.c_function import CFunction, WorkSpace
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
-from fjr_core.runtime.library import CFunction, WorkSpace, rigid_arm_functions, step_library, write_robot
+from fjr_core.runtime.library import rigid_arm_functions, step_library, write_robot
 
 from .record import Innovations, Record, blocks_of
 from .residuals import FEWEST_BLOCKS, deviation, explained_share, residuals

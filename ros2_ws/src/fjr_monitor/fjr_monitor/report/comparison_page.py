@@ -17,7 +17,7 @@ from urllib.parse import quote
 import numpy as np
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.model.robot import joined
+from fjr_core.model.joints import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least
 from fjr_monitor.recording.files import Times

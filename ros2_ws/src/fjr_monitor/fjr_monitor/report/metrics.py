@@ -18,7 +18,7 @@ import numpy as np
 from fjr_core.config.law import robust as build_robust
 from fjr_core.files.text_file import write_text
 from fjr_core.law.rate import NO_RATE
-from fjr_core.model.robot import joined
+from fjr_core.model.joints import joined
 from fjr_monitor.diagnosis.diagnosis import FirstPass, SecondPass
 from fjr_monitor.diagnosis.record import PART, parts_of
 from fjr_monitor.diagnosis.thresholds import JointTolerances
