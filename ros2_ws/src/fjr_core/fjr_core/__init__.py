@@ -10,33 +10,36 @@ Paper: R. Reyes-Baez, A. van der Schaft, B. Jayawardhana, "Virtual Differential 
 Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstrings are its.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
-from .extensions.python_code import PythonLaw, PythonPlant
 from .files import importing
-from .law.gains import PAPER_GAINS, Gains
-from .law.rate import Rate
-from .law.vdpbc import Evaluation, TrackingLaw
-from .model.closed_form_arms import planar_two_link, single_link
-from .model.newton_euler import serial_chain
-from .model.port_hamiltonian import Plant
-from .model.rigid_arm import Body
-from .model.robot import JointLimits, Robot
-from .model.virtual_system import VirtualSystem
-from .monitoring.certificate import Certificate
-from .motions.motion_limits import MotionLimits, check_motion
-from .motions.point_to_point import Circle, Hold, PointToPoint, standing
-from .motions.reference import Reference
-from .motions.sine import MultiSine, Sine
-from .motions.spline import SampledMotion, Spline
-from .motions.transition import time_shifted, transition
-from .runtime.measurement_model import Measurement
-from .runtime.velocity_observer import VelocityObserver
-from .simulation.closed_loop import Trajectory, simulate
-from .stability.linearization import spectral_radius
-from .urdf.robot import robot_from_urdf
 from .version import __version__
+
+if TYPE_CHECKING:
+    from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
+    from .extensions.python_code import PythonLaw, PythonPlant
+    from .law.gains import PAPER_GAINS, Gains
+    from .law.rate import Rate
+    from .law.vdpbc import Evaluation, TrackingLaw
+    from .model.closed_form_arms import planar_two_link, single_link
+    from .model.joints import JointLimits
+    from .model.newton_euler import serial_chain
+    from .model.port_hamiltonian import Plant
+    from .model.rigid_arm import Body
+    from .model.robot import Robot
+    from .model.virtual_system import VirtualSystem
+    from .monitoring.certificate import Certificate
+    from .motions.motion_limits import MotionLimits, check_motion
+    from .motions.point_to_point import Circle, Hold, PointToPoint, standing
+    from .motions.reference import Reference
+    from .motions.sine import MultiSine, Sine
+    from .motions.spline import SampledMotion, Spline
+    from .motions.transition import time_shifted, transition
+    from .runtime.measurement_model import Measurement
+    from .runtime.velocity_observer import VelocityObserver
+    from .simulation.closed_loop import Trajectory, simulate
+    from .stability.linearization import spectral_radius
+    from .urdf.robot import robot_from_urdf
 
 __all__ = [
     "PAPER_GAINS",
@@ -91,27 +94,52 @@ __all__ = [
     "transition",
 ]
 
-_ELSEWHERE = {
-    "Diagnosis": "fjr_monitor.diagnosis.verdict",
-    "Record": "fjr_monitor.diagnosis.record",
-    "SampledCheck": "fjr_design.stability.sampled_loop",
-    "check": "fjr_design.stability.sampled_loop",
-    "diagnose": "fjr_monitor.diagnosis.diagnosis",
-    "synthesize": "fjr_design.tuning.gain_synthesis",
-    "testing": "fjr_design.testing",
+_HOMES = {
+    "fjr_core.errors": "FjrError GainsError ParameterError RobotError StateError TrajectoryError UserCodeError",
+    "fjr_core.extensions.python_code": "PythonLaw PythonPlant",
+    "fjr_core.law.gains": "PAPER_GAINS Gains",
+    "fjr_core.law.rate": "Rate",
+    "fjr_core.law.vdpbc": "Evaluation TrackingLaw",
+    "fjr_core.model.closed_form_arms": "planar_two_link single_link",
+    "fjr_core.model.newton_euler": "serial_chain",
+    "fjr_core.model.port_hamiltonian": "Plant",
+    "fjr_core.model.rigid_arm": "Body",
+    "fjr_core.model.joints": "JointLimits",
+    "fjr_core.model.robot": "Robot",
+    "fjr_core.model.virtual_system": "VirtualSystem",
+    "fjr_core.monitoring.certificate": "Certificate",
+    "fjr_core.motions.motion_limits": "MotionLimits check_motion",
+    "fjr_core.motions.point_to_point": "Circle Hold PointToPoint standing",
+    "fjr_core.motions.reference": "Reference",
+    "fjr_core.motions.sine": "MultiSine Sine",
+    "fjr_core.motions.spline": "SampledMotion Spline",
+    "fjr_core.motions.transition": "time_shifted transition",
+    "fjr_core.runtime.measurement_model": "Measurement",
+    "fjr_core.runtime.velocity_observer": "VelocityObserver",
+    "fjr_core.simulation.closed_loop": "Trajectory simulate",
+    "fjr_core.stability.linearization": "spectral_radius",
+    "fjr_core.urdf.robot": "robot_from_urdf",
+    "fjr_monitor.diagnosis.verdict": "Diagnosis",
+    "fjr_monitor.diagnosis.record": "Record",
+    "fjr_design.stability.sampled_loop": "SampledCheck check",
+    "fjr_monitor.diagnosis.diagnosis": "diagnose",
+    "fjr_design.tuning.gain_synthesis": "synthesize",
+    "fjr_design.testing": "testing",
 }
-"""Public names of other packages, each with its module, which is imported on use; `testing` is a module itself."""
+"""Public names by their module, which is imported when one of them is used; `testing` is a module itself."""
+_HOME = {name: module for module, names in _HOMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
-    """Return the object of a public name of another package.
+    """Return the object of a public name.
 
-    Raises MissingPackageError if that package is not installed.
+    Raises MissingPackageError if the name is one of another package, which is not installed.
     """
-    if name in _ELSEWHERE:
-        module = importing.module(_ELSEWHERE[name])
-        return getattr(module, name, module)
-    raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
+    if name not in _HOME:
+        raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
+    module = importing.module(_HOME[name])
+    found = globals()[name] = getattr(module, name, module)
+    return found
 
 
 def __dir__() -> list[str]:
