@@ -19,8 +19,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from fjr_core import StateError
 from fjr_core.config.scenario import Scenario
+from fjr_core.model.joints import JointSample
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.measurement_model import JointSample
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.message_types import type_hash

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections import Counter
 from dataclasses import MISSING, dataclass
 from pathlib import Path
@@ -16,8 +17,10 @@ import own_code
 from fjr_core.config.controller import controller_parameters
 from fjr_core.config.nodes import OwnParameters, all_parameters
 from fjr_core.config.parameter import MATRIX, POINT, ROWS, VECTOR, complete, read, table
-from fjr_core.config.plant import plant_parameters
+from fjr_core.config.plant import INTEGRATORS, plant_parameters
+from fjr_core.config.robot import MODELS as ARGUMENTS
 from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
+from fjr_core.numerics import integrators
 from fjr_core.numerics.parameter_field import declared, parameter_field
 from fuzzing import refused
 
@@ -68,6 +71,15 @@ def test_a_wrong_length_is_rejected_by_name(name: str) -> None:
     values = complete(table(declarations, 2), {name: [1.0] * 5})
     with pytest.raises(fjr.ParameterError, match=f"'{name}' has length 5"):
         read(declarations, values, 2)
+
+
+@pytest.mark.parametrize("build", [fjr.single_link, fjr.planar_two_link])
+def test_the_defaults_of_a_robot_are_those_of_the_function_that_builds_it(build: Any) -> None:
+    assert ARGUMENTS[build.__name__] == {name: p.default for name, p in inspect.signature(build).parameters.items()}
+
+
+def test_the_integrators_of_the_plant_are_those_that_there_are() -> None:
+    assert INTEGRATORS == integrators.INTEGRATORS
 
 
 @pytest.mark.parametrize("model", MODELS)

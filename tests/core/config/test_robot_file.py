@@ -14,7 +14,8 @@ from fjr_core.config import parameter, robot_file, ros_yaml
 from fjr_core.config.controller import controller_parameters
 from fjr_core.config.law import gain_values
 from fjr_core.config.law import gains as build_gains
-from fjr_core.config.nodes import CONTROLLER, OWN_PARAMETERS, all_parameters, self_contained
+from fjr_core.config.nodes import CONTROLLER, NODES, all_parameters
+from fjr_core.config.parameter_file import self_contained
 from fjr_core.config.plant import plant_parameters
 from fjr_core.config.robot import description
 from fjr_core.config.robot import robot as build_robot
@@ -100,7 +101,7 @@ def test_scenario_overrides_the_robot_file(workspace: Path) -> None:
 def test_a_self_contained_scenario_needs_no_other_file(workspace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = scenario(workspace, "      file: package://my_arm/robots/two_link.yaml", CHANGES)
     document = ros_yaml.read(path, "scenario")
-    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
+    given = {node: ros_yaml.values_for(node, document) for node in NODES}
     text = ros_yaml.dump(self_contained(given, path.parent))
     expected = load_scenario(path)
     monkeypatch.delenv("AMENT_PREFIX_PATH")

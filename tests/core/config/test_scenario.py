@@ -14,7 +14,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.config import ros_yaml
-from fjr_core.config.nodes import CONTROLLER, OWN_PARAMETERS, PLANT, all_parameters
+from fjr_core.config.nodes import CONTROLLER, NODES, PLANT, all_parameters, own_parameters
 from fjr_core.config.parameter import refuse_unknown
 from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
 from fuzzing import refused
@@ -104,7 +104,7 @@ def test_a_name_that_is_a_prefix_of_another_is_rejected(values: dict[str, int]) 
         ros_yaml.tree_of(values)
 
 
-NAMES = {node: {each.name for each in all_parameters(own, {})} for node, own in OWN_PARAMETERS.items()}
+NAMES = {node: {each.name for each in all_parameters(own_parameters(node), {})} for node in NODES}
 EVERY = sorted(set().union(*NAMES.values()))
 
 

@@ -21,10 +21,10 @@ from std_msgs.msg import Float64MultiArray
 from fjr_core import FjrError, Measurement
 from fjr_core.config.controller import auxiliary_period, contact_observer
 from fjr_core.config.process import NATIVE, process_settings
+from fjr_core.model.joints import JointSample
 from fjr_core.monitoring.external_torque import TorqueObserverStruct
 from fjr_core.runtime.control_step import Command, ControlStep
 from fjr_core.runtime.events import STATES, Event, State, joints_of
-from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.cdr import float_array, joint_state
 from fjr_msgs_py.messages.joint_states import SECOND, StateReader, deserialised

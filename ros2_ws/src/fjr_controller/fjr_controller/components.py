@@ -11,10 +11,11 @@ from rclpy.node import Node
 
 from fjr_core import ParameterError, Reference, TrackingLaw
 from fjr_core.config import law
-from fjr_core.config.controller import effort_limits, file_warnings, measurement, motion_limits, observer, safety
+from fjr_core.config.controller import effort_limits, measurement, motion_limits, observer, safety
 from fjr_core.config.law import control_law, robust_action
 from fjr_core.config.law import gains as build_gains
 from fjr_core.config.law import robust as build_robust
+from fjr_core.config.motion_warnings import file_warnings
 from fjr_core.config.parameter import in_python, named
 from fjr_core.config.reference import FILE_PATH, forget_files
 from fjr_core.config.reference import reference as build_reference

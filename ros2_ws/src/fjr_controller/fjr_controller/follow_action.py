@@ -20,11 +20,10 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from fjr_core.config.parameter import vector
-from fjr_core.model.joints import Units
+from fjr_core.model.joints import JointSample, Units
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.control_step import Command
 from fjr_core.runtime.events import State
-from fjr_core.runtime.measurement_model import JointSample
 from fjr_msgs_py import names
 from fjr_msgs_py.messages.trajectories import FollowMessages
 

@@ -13,86 +13,51 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 from typing import TYPE_CHECKING, Any
 
 from .files import importing
-from .version import __version__
+from .version import __version__ as __version__
 
-if TYPE_CHECKING:
-    from .errors import FjrError, GainsError, ParameterError, RobotError, StateError, TrajectoryError, UserCodeError
-    from .extensions.python_code import PythonLaw, PythonPlant
-    from .law.gains import PAPER_GAINS, Gains
-    from .law.rate import Rate
-    from .law.vdpbc import Evaluation, TrackingLaw
-    from .model.closed_form_arms import planar_two_link, single_link
-    from .model.joints import JointLimits
-    from .model.newton_euler import serial_chain
-    from .model.port_hamiltonian import Plant
-    from .model.rigid_arm import Body
-    from .model.robot import Robot
-    from .model.virtual_system import VirtualSystem
-    from .monitoring.certificate import Certificate
-    from .motions.motion_limits import MotionLimits, check_motion
-    from .motions.point_to_point import Circle, Hold, PointToPoint, standing
-    from .motions.reference import Reference
-    from .motions.sine import MultiSine, Sine
-    from .motions.spline import SampledMotion, Spline
-    from .motions.transition import time_shifted, transition
-    from .runtime.measurement_model import Measurement
-    from .runtime.velocity_observer import VelocityObserver
-    from .simulation.closed_loop import Trajectory, simulate
-    from .stability.linearization import spectral_radius
-    from .urdf.robot import robot_from_urdf
-
-__all__ = [
-    "PAPER_GAINS",
-    "Body",
-    "Certificate",
-    "Circle",
-    "Diagnosis",
-    "Evaluation",
-    "FjrError",
-    "Gains",
-    "GainsError",
-    "Hold",
-    "JointLimits",
-    "Measurement",
-    "MotionLimits",
-    "MultiSine",
-    "ParameterError",
-    "Plant",
-    "PointToPoint",
-    "PythonLaw",
-    "PythonPlant",
-    "Rate",
-    "Record",
-    "Reference",
-    "Robot",
-    "RobotError",
-    "SampledCheck",
-    "SampledMotion",
-    "Sine",
-    "Spline",
-    "StateError",
-    "TrackingLaw",
-    "Trajectory",
-    "TrajectoryError",
-    "UserCodeError",
-    "VelocityObserver",
-    "VirtualSystem",
-    "__version__",
-    "check",
-    "check_motion",
-    "diagnose",
-    "planar_two_link",
-    "robot_from_urdf",
-    "serial_chain",
-    "simulate",
-    "single_link",
-    "spectral_radius",
-    "standing",
-    "synthesize",
-    "testing",
-    "time_shifted",
-    "transition",
-]
+if TYPE_CHECKING:  # each name is exported, PEP 484
+    from .errors import FjrError as FjrError
+    from .errors import GainsError as GainsError
+    from .errors import ParameterError as ParameterError
+    from .errors import RobotError as RobotError
+    from .errors import StateError as StateError
+    from .errors import TrajectoryError as TrajectoryError
+    from .errors import UserCodeError as UserCodeError
+    from .extensions.python_code import PythonLaw as PythonLaw
+    from .extensions.python_code import PythonPlant as PythonPlant
+    from .law.gains import PAPER_GAINS as PAPER_GAINS
+    from .law.gains import Gains as Gains
+    from .law.rate import Rate as Rate
+    from .law.vdpbc import Evaluation as Evaluation
+    from .law.vdpbc import TrackingLaw as TrackingLaw
+    from .model.closed_form_arms import planar_two_link as planar_two_link
+    from .model.closed_form_arms import single_link as single_link
+    from .model.joints import JointLimits as JointLimits
+    from .model.newton_euler import serial_chain as serial_chain
+    from .model.port_hamiltonian import Plant as Plant
+    from .model.rigid_arm import Body as Body
+    from .model.robot import Robot as Robot
+    from .model.virtual_system import VirtualSystem as VirtualSystem
+    from .monitoring.certificate import Certificate as Certificate
+    from .motions.motion_limits import MotionLimits as MotionLimits
+    from .motions.motion_limits import check_motion as check_motion
+    from .motions.point_to_point import Circle as Circle
+    from .motions.point_to_point import Hold as Hold
+    from .motions.point_to_point import PointToPoint as PointToPoint
+    from .motions.point_to_point import standing as standing
+    from .motions.reference import Reference as Reference
+    from .motions.sine import MultiSine as MultiSine
+    from .motions.sine import Sine as Sine
+    from .motions.spline import SampledMotion as SampledMotion
+    from .motions.spline import Spline as Spline
+    from .motions.transition import time_shifted as time_shifted
+    from .motions.transition import transition as transition
+    from .runtime.measurement_model import Measurement as Measurement
+    from .runtime.velocity_observer import VelocityObserver as VelocityObserver
+    from .simulation.closed_loop import Trajectory as Trajectory
+    from .simulation.closed_loop import simulate as simulate
+    from .stability.linearization import spectral_radius as spectral_radius
+    from .urdf.robot import robot_from_urdf as robot_from_urdf
 
 _HOMES = {
     "fjr_core.errors": "FjrError GainsError ParameterError RobotError StateError TrajectoryError UserCodeError",
@@ -128,6 +93,7 @@ _HOMES = {
 }
 """Public names by their module, which is imported when one of them is used; `testing` is a module itself."""
 _HOME = {name: module for module, names in _HOMES.items() for name in names.split()}
+__all__ = sorted([*_HOME, "__version__"])
 
 
 def __getattr__(name: str) -> Any:

@@ -22,9 +22,8 @@ from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import is_xml
 from fjr_core.model.rigid_arm import rotation_to, tip_frame
 from fjr_core.model.robot import Robot
-from fjr_core.numerics.c_function import CFunction, WorkSpace
 from fjr_core.numerics.checks import MOTOR, Array
-from fjr_core.numerics.jit import CLibrary, c_library
+from fjr_core.numerics.jit import CFunction, CLibrary, WorkSpace, c_library
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 from fjr_plant.engine import chain, check_equations

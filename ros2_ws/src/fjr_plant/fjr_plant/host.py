@@ -66,25 +66,16 @@ class Events:
         return 0
 
 
+Callbacks = Mapping[str, Any]  # fields of struct fjr_callbacks, without on_request and on_end
+Fail = Callable[[str], None]  # called with a description after a fault; it does not raise
 NOTES, NOTES_PERIOD = 16, 0.05  # events that wait for Python, at most; s
 
 
 class NativePlantHost(NativeLoop):
     """A thread in C; raises NativeError if it cannot be started."""
 
-    def __init__(
-        self,
-        node: Node,
-        program: Program,
-        callbacks: Mapping[str, Any],
-        kind: type,
-        topic: str,
-        fail: Callable[[str], None],
-    ) -> None:
-        """callbacks: fields of struct fjr_callbacks, without on_request and on_end. kind, topic: of the commands.
-
-        fail: called with a description after a fault; it does not raise.
-        """
+    def __init__(self, node: Node, program: Program, callbacks: Callbacks, kind: type, topic: str, fail: Fail) -> None:
+        """kind, topic: of the commands."""
         ffi, plant = program.ffi, callbacks["self"]
         self._fail, self._node, self._notes = fail, node, Ring(program, "struct fjr_note", NOTES)
         own = {
@@ -143,10 +134,10 @@ class RclpyPlantHost(RclpyHost):
         self,
         node: Node,
         program: Program,
-        callbacks: Mapping[str, Any],
+        callbacks: Callbacks,
         kind: type,
         topic: str,
-        fail: Callable[[str], None],
+        fail: Fail,
         simulated: bool,
         period: float,
     ) -> None:

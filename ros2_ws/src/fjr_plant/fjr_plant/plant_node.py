@@ -24,7 +24,6 @@ from fjr_msgs_py.node.parameters import ParameterNode
 from fjr_msgs_py.node.reports import Health, publish_description, refusal
 
 from .host import EXPECTED
-from .lock_step import LockStep
 from .simulated_robot import errors_of, simulated
 from .time_base import DeferredTrigger, RealTime, TimeBase
 
@@ -67,8 +66,13 @@ class PlantNode(ParameterNode):
         self._robot.warm_up()
         if self.values["publish_description"]:
             publish_description(self, description(self.values))
-        kind = LockStep if self.values["lockstep"] else RealTime
-        self._time_base = kind(self, self._robot, self._transport, self._health)
+        parts = self, self._robot, self._transport, self._health
+        if self.values["lockstep"]:
+            from .lock_step import LockStep
+
+            self._time_base = LockStep(*parts)
+        else:
+            self._time_base = RealTime(*parts)
         self.create_subscription(JointState, names.EXTERNAL_TORQUE, self._on_torque, names.LATEST)
         self.create_service(Trigger, names.RESET, self._on_reset)
         self.create_service(SetBool, names.PAUSE, self._on_pause)

@@ -5,17 +5,16 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fjr_core import FjrError, ParameterError, Plant, Robot, StateError
-from fjr_core.config.plant import Obstacle, channel_errors, obstacle, period_jitter, random_seed, sensor_errors
+from fjr_core.config.plant import OWN, Obstacle, channel_errors, obstacle, period_jitter, random_seed, sensor_errors
 from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.model.springs import hardening
-from fjr_core.numerics.c_function import CFunction, WorkSpace
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import machine_code
+from fjr_core.numerics.jit import CFunction, WorkSpace, machine_code
 from fjr_core.numerics.symbolic import not_converged
 from fjr_core.simulation.imperfections import (
     ChannelErrors,
@@ -28,8 +27,10 @@ from fjr_core.simulation.imperfections import (
 from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 from .channel import SENSORS, Random, Transport
-from .engine import Engine, engine_kind
 from .native import plant_program
+
+if TYPE_CHECKING:
+    from .engine import Engine
 
 _FILL = ctypes.CDLL(np.random._generator.__file__).random_standard_normal_fill  # as numpy.org shows for extensions
 
@@ -316,5 +317,9 @@ def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[Simul
     seed, (motion, sensors, messages) = random_seed(values), errors_of(values, plant.robot)
     transport = Transport(plant.robot.n, inner_step * values["inner_steps"], inner_step, seed)
     transport.change(*messages)
-    simulator = {"engine": engine_kind(values), "joints": values["joints"], "obstacle": obstacle(values)}
+    simulator = {"joints": values["joints"], "obstacle": obstacle(values)}
+    if values["engine"] != OWN:
+        from .engine import engine_kind
+
+        simulator["engine"] = engine_kind(values)
     return SimulatedRobot(plant, x0, inner_step, motion, sensors, seed, **simulator), transport

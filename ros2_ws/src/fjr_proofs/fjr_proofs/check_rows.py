@@ -16,8 +16,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.joints import joined
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import at_least, at_most
-from fjr_core.robust.law import RobustLaw
-from fjr_core.robust.options import Robust
+from fjr_core.robust.law import Robust, RobustLaw
 from fjr_core.simulation.deviations import DEVIATIONS
 from fjr_design.cli.check import Check
 from fjr_msgs_py.console.output import percent, progress_bar

@@ -9,12 +9,10 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
-from importlib.util import find_spec
-from pathlib import Path
-from runpy import run_path
 
 import click
 
+from fjr_core.version import __version__
 from fjr_msgs_py.console.ending import HELP, Exit, in_own_session
 from fjr_msgs_py.console.options import COMMANDS
 from fjr_msgs_py.console.output import tell
@@ -157,11 +155,9 @@ def _log_to_stderr() -> None:
 
 
 def _show_version(ctx: click.Context, _parameter: click.Parameter, asked: bool) -> None:
-    """Print the version of fjr_core, without loading the package, and end the program."""
-    package = find_spec("fjr_core") if asked else None
-    if package is not None and package.origin is not None:
-        version = run_path(str(Path(package.origin).with_name("version.py")))["__version__"]
-        click.echo(f"fjr {version}")
+    """Print the version of fjr_core and end the program."""
+    if asked:
+        click.echo(f"fjr {__version__}")
         ctx.exit()
 
 

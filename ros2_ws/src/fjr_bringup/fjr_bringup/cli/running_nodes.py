@@ -21,7 +21,8 @@ from rclpy.parameter import parameter_value_to_python
 from fjr_bringup.clients import ClientError, ServiceClient, TrajectoryClient
 from fjr_core.config import ros_yaml
 from fjr_core.config.controller import effort_limits
-from fjr_core.config.reference import motion_of_file, motion_warnings
+from fjr_core.config.motion_warnings import motion_warnings
+from fjr_core.config.reference import motion_of_file
 from fjr_core.errors import ParameterError
 from fjr_core.motions.spline import SampledMotion, waypoints
 from fjr_design.cli.preflight import as_list

@@ -3,25 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import ParameterError
-from ..model.robot import Robot
-from ..monitoring.external_torque import ContactObserver, ExternalTorqueObserver
-from ..motions.motion_limits import MotionLimits
 from ..numerics.checks import Array
 from ..numerics.parameter_field import declared
 from ..runtime.measurement_model import OBSERVER, TORQUE, Measurement
 from ..runtime.safety_settings import Settings
-from ..runtime.velocity_observer import VelocityObserver
 from .law import GAINS, LAW, ROBUST
-from .parameter import VECTOR, Parameter, Values, names, number, read, table, vector
+from .parameter import VECTOR, Parameter, Values, names, number, read, table
 from .process import process_parameters
-from .reference import FILE_PATH, MOTION, TOLERANCE, motion_of_file, motion_warnings, reference_parameters
+from .reference import MOTION, reference_parameters
 from .robot import stated_errors
+
+if TYPE_CHECKING:
+    from ..model.robot import Robot
+    from ..monitoring.external_torque import ContactObserver, ExternalTorqueObserver
+    from ..motions.motion_limits import MotionLimits
+    from ..runtime.velocity_observer import VelocityObserver
 
 AUTOSTART = Parameter("autostart", True, "Configure and activate at the start, without a request")
 AUXILIARY_RATE = Parameter(
@@ -64,7 +65,6 @@ FROM_ROBOT = Parameter(
     dynamic=True,
 )
 _SAFETY = declared(Settings)
-JOIN_TIME = 1.0  # s; default of start.join_time for an arm of a URDF
 
 
 def auxiliary_period(values: Values, simulated: bool) -> float:
@@ -107,16 +107,22 @@ def observer(values: Values, robot: Robot) -> VelocityObserver | None:
     """Return the velocity observer of the values, or None if velocities are measured."""
     if values["measurement.velocity"] != OBSERVER:
         return None
+    from ..runtime.velocity_observer import VelocityObserver
+
     return VelocityObserver(robot, number(values, OBSERVER_BANDWIDTH.name), compile=bool(values["compile"]))
 
 
 def torque_observer(values: Values, robot: Robot) -> ExternalTorqueObserver:
     """Return the observer of external torques of the values."""
+    from ..monitoring.external_torque import ExternalTorqueObserver
+
     return ExternalTorqueObserver(robot, number(values, TORQUE_BANDWIDTH.name), compile=bool(values["compile"]))
 
 
 def contact_observer(values: Values, robot: Robot) -> ContactObserver:
     """Return the observer of external torques of the values, with the stated errors of the robot."""
+    from ..monitoring.external_torque import ContactObserver
+
     given = number(values, TORQUE_BANDWIDTH.name), stated_errors(values)
     return ContactObserver(robot, *given, compile=bool(values["compile"]))
 
@@ -127,14 +133,6 @@ def safety_parameters(n: int) -> list[Parameter]:
     By default only state_timeout, wiring check and recovery are active.
     """
     return [*table(_SAFETY, n), FROM_ROBOT]
-
-
-def with_robot(parameters: Sequence[Parameter], given: Mapping[str, object]) -> list[Parameter]:
-    """Return the parameters with the defaults for the given robot: an arm of a URDF starts by a transition."""
-    if given.get("robot.model") != "urdf":
-        return list(parameters)
-    join = _SAFETY["start_join_time"].name
-    return [replace(each, default=JOIN_TIME) if each.name == join else each for each in parameters]
 
 
 def safety(values: Values, robot: Robot) -> Settings:
@@ -155,13 +153,8 @@ def effort_limits(values: Values, robot: Robot) -> Array:
 
 def motion_limits(settings: Settings, robot: Robot) -> MotionLimits:
     """Return the limits of trajectories: the tighter of settings and robot; raises ParameterError."""
+    from ..motions.motion_limits import MotionLimits
+
     held = settings.tightened(robot.limits)
     position = held.link_position_lower, held.link_position_upper
     return MotionLimits(*position, held.link_velocity, settings.acceleration, robot.units)
-
-
-def file_warnings(values: Values, robot: Robot) -> list[str]:
-    """Return a sentence for each property of the file of reference.file.path that asks for large efforts."""
-    joints = names(values, "joints")
-    motion = motion_of_file(str(values[FILE_PATH.name]), vector(values, TOLERANCE.name, robot.n), joints)
-    return motion_warnings(motion, robot, joints, effort_limits(values, robot))

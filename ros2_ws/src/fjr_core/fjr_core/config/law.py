@@ -3,26 +3,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import FjrError, GainsError, ParameterError, prefixed
 from ..extensions.law_registry import LAWS, V_DPBC, LawKind, law_kind
-from ..extensions.python_code import own_law
 from ..files import importing
 from ..files.importing import is_named
 from ..law.gains import PAPER_GAINS, Gains
-from ..law.interfaces import StaticLaw
-from ..law.vdpbc import TrackingLaw
-from ..model.robot import Robot
 from ..numerics.checks import is_diagonal
 from ..numerics.parameter_field import declared
-from ..robust.law import sampled_law
 from ..robust.options import Robust
-from ..stability.linearization import refuse_fast_integral
 from .parameter import LIST, VECTOR, Parameter, Values, named, number, options, read
 from .reference import reference
+
+if TYPE_CHECKING:
+    from ..law.interfaces import StaticLaw
+    from ..model.robot import Robot
 
 START_ERROR = 0.1  # rad; initial error of all joints, at rest, if no start is given
 
@@ -111,12 +109,16 @@ def control_law(values: Values, robot: Robot) -> StaticLaw:
     """
     name, compile = str(values[TYPE.name]), bool(values["compile"])
     if name == V_DPBC:
+        from ..law.vdpbc import TrackingLaw
+
         return TrackingLaw(robot, gains(values, robot.n), compile=compile)
     if robot.curve and not is_named(name):
         raise ParameterError(f"parameter '{TYPE.name}' is {name!r} with a robot.{robot.curve}; expected '{V_DPBC}'")
     fault = FjrError if is_named(name) else GainsError
     with prefixed(f"parameter '{TYPE.name}' is {name!r}: ", fault):
         if is_named(name):
+            from ..extensions.python_code import own_law
+
             return own_law(name, robot, options(TYPE, values), compile=compile)
         kind = law_kind(name)
         return kind.make(robot, _baseline_gains(values, robot, kind), compile)
@@ -144,6 +146,11 @@ def robust_action(values: Values, static_law: StaticLaw) -> Robust:
     Raises ParameterError, also if the law supports none or the integral action is too fast for robust.hold.
     """
     action = robust(values, static_law.robot.n)
+    if action.off:
+        return action
+    from ..robust.law import sampled_law
+    from ..stability.linearization import refuse_fast_integral
+
     with prefixed(f"parameters 'robust.*' with '{TYPE.name}' {values[TYPE.name]!r}: ", GainsError):
         sampled_law(static_law, action)
         refuse_fast_integral(static_law, action)

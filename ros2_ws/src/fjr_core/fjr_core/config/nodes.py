@@ -3,24 +3,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from ..errors import ParameterError
-from . import robot_file, ros_yaml
-from .controller import controller_parameters, with_robot
-from .parameter import Parameter, Value, complete, names, option_parameters, refuse_unknown, resembling, unread_options
-from .plant import plant_parameters
-from .reference import motion_inlined
-from .robot import JOINTS, joints_of, robot_parameters
+from . import robot_file
+from .parameter import Parameter, Value, complete, option_parameters, refuse_unknown, resembling, unread_options
+from .robot import MODEL, joints_of, robot_parameters
 
 PLANT, CONTROLLER = "fjr_plant", "fjr_controller"
-OWN_PARAMETERS = {PLANT: plant_parameters, CONTROLLER: controller_parameters}
+NODES = (PLANT, CONTROLLER)
+JOIN_TIME = 1.0  # s; default of start.join_time for an arm of a URDF
 
 OwnParameters = Callable[[int], Sequence[Parameter]]
 """Makes a node's own parameters for n joints: plant_parameters or controller_parameters."""
+
+
+@cache
+def own_parameters(node: str) -> OwnParameters:
+    """Return the function that makes the own parameters of a node; a node imports those of the other if it has to."""
+    if node == PLANT:
+        from .plant import plant_parameters
+
+        return plant_parameters
+    from .controller import controller_parameters
+
+    return controller_parameters
 
 
 def all_parameters(own: OwnParameters, given: Mapping[str, object], user_code: bool = True) -> list[Parameter]:
@@ -30,17 +40,32 @@ def all_parameters(own: OwnParameters, given: Mapping[str, object], user_code: b
     """
     parameters = own(joints_of(given))
     of_user = option_parameters(parameters, given) if user_code else ()
-    return [*robot_parameters(given), *with_robot(parameters, given), *of_user]
+    return [*robot_parameters(given), *_with_robot(parameters, given), *of_user]
+
+
+def _with_robot(parameters: Sequence[Parameter], given: Mapping[str, object]) -> list[Parameter]:
+    """Return the parameters with the defaults for the given robot: an arm of a URDF starts by a transition."""
+    if given.get(MODEL.name) != "urdf":
+        return list(parameters)
+    return [replace(each, default=JOIN_TIME) if each.name == "start.join_time" else each for each in parameters]
+
+
+@cache
+def own_names(own: OwnParameters) -> frozenset[str]:
+    """Return the names of a node's own parameters, without options of classes of the user."""
+    return frozenset(each.name for each in own(1))
 
 
 @cache
 def names_of_others(own: OwnParameters) -> frozenset[str]:
     """Return the names of the parameters that only other nodes declare, without options of classes of the user."""
-    return frozenset(each.name for each in _all_of_nodes()) - {each.name for each in own(1)}
+    return frozenset(each.name for each in _all_of_nodes()) - own_names(own)
 
 
 def is_of_others(own: OwnParameters, name: str) -> bool:
     """Return whether only other nodes declare a parameter of this name; a shared parameter file may contain it."""
+    if name.startswith("robot.") or name in own_names(own):
+        return False
     others = names_of_others(own)
     prefixes = (each.options for each in _all_of_nodes() if each.options and each.name in others)
     return name in others or name.startswith(tuple(prefixes))
@@ -49,27 +74,7 @@ def is_of_others(own: OwnParameters, name: str) -> bool:
 @cache
 def _all_of_nodes() -> tuple[Parameter, ...]:
     """Return the parameters that the nodes declare for one joint."""
-    return tuple(each for own in OWN_PARAMETERS.values() for each in own(1))
-
-
-def given_to_nodes(document: Any) -> dict[str, dict[str, object]]:
-    """Return the values that a parameter file gives to each node; raises ParameterError.
-
-    Sections of other nodes are left out, unless their name resembles one of these nodes' or there are no others.
-    """
-    given = {node: ros_yaml.values_for(node, document) for node in OWN_PARAMETERS}
-    own = {section for node in OWN_PARAMETERS for section in ros_yaml.sections(node)}
-    for section in document:
-        name = str(section).rpartition("/")[2]
-        close = resembling(name, OWN_PARAMETERS, least=0.8)
-        if section not in own and close and name != close:
-            raise ParameterError(f"has the section '{section}', of another node; did you mean '/**/{close}'?")
-    if document and not own & set(document):
-        raise ParameterError(
-            f"has no section of these nodes ({', '.join(map(str, document))}); expected {ros_yaml.SHARED}, "
-            + " or ".join(f"/**/{node}" for node in OWN_PARAMETERS)
-        )
-    return given
+    return tuple(each for node in NODES for each in own_parameters(node)(1))
 
 
 class NodeParameters(NamedTuple):
@@ -97,61 +102,21 @@ def resolve(
     merged = robot_file.merged(given, node, folder)
     taken = {name: value for name, value in merged.items() if name in given or not is_of_others(own, name)}
     parameters = all_parameters(own, taken, user_code)
-    own_names, others = [each.name for each in parameters], names_of_others(own)
-    known = {*own_names, *others}
-    groups = {name.partition(".")[0] for name in known}
-    foreign = {
-        name
-        for name in for_any_node - known
-        if name.partition(".")[0] not in groups and not resembling(name, known, least=0.8)
-    }
-    ignored = taken.keys() & (foreign | unread_options(parameters, taken, user_code))
-    refuse_unknown(own_names, taken.keys() - ignored, others)
+    ignored = unread_options(parameters, taken, user_code)
+    known = {each.name for each in parameters}
+    unknown = taken.keys() - ignored - known
+    ignored |= {name for name in unknown & for_any_node if _is_foreign(name, known | names_of_others(own))}
+    refuse(own, known, unknown - ignored)
     return NodeParameters(parameters, complete(parameters, taken), sorted(ignored))
 
 
-def checked_values(
-    document: Any, folder: Path, user_code: bool = True
-) -> tuple[dict[str, dict[str, Value]], tuple[str, ...]]:
-    """Return the complete values of each node that a parameter file in `folder` describes, and the warnings.
-
-    user_code: see all_parameters. Raises ParameterError.
-    """
-    checked, warnings, by_node = {}, [], given_to_nodes(document)
-    private = {section: content for section, content in document.items() if section != ros_yaml.SHARED}
-    for node, direct in by_node.items():
-        own, alone = OWN_PARAMETERS[node], ros_yaml.values_for(node, private)
-        given = {name: value for name, value in direct.items() if name in alone or not is_of_others(own, name)}
-        found = resolve(own, given, node, folder, user_code=user_code)
-        checked[node] = found.values
-        warnings += [f"{node}: parameter '{name}' is ignored: there is no class with options" for name in found.ignored]
-    return checked, tuple(warnings)
+def _is_foreign(name: str, known: Set[str]) -> bool:
+    """Return whether a name is of no group of these nodes and resembles no known name."""
+    groups = {each.partition(".")[0] for each in known}
+    return name.partition(".")[0] not in groups and not resembling(name, known, least=0.8)
 
 
-def self_contained(given: Mapping[str, Mapping[str, object]], folder: Path) -> dict[str, Any]:
-    """Return a parameter file of the values given to each node that needs no other file: robot, URDF, motion.
-
-    Values that the nodes share are in the section /**, which is also the section of `-p` on a command line.
-    Relative paths in `given` start at `folder`. Raises ParameterError.
-    """
-    whole = {}
-    for node, values in given.items():
-        merged = robot_file.merged(values, node, folder)
-        joints = names(complete([JOINTS], merged), JOINTS.name)
-        inlined = motion_inlined(robot_file.inlined(merged), joints)
-        whole[node] = {name: value for name, value in inlined.items() if not is_of_others(OWN_PARAMETERS[node], name)}
-
-    def is_common(name: str, value: object) -> bool:
-        """Return whether every node that has the parameter is given this value."""
-        return all(
-            repr(values[name]) == repr(value)  # nan equals nan, 1 differs from 1.0
-            if name in values
-            else is_of_others(OWN_PARAMETERS[node], name)
-            for node, values in whole.items()
-        )
-
-    shared = {name: value for values in whole.values() for name, value in values.items() if is_common(name, value)}
-    sections = {ros_yaml.SHARED: shared}
-    for node, values in whole.items():
-        sections[f"/**/{node}"] = {name: value for name, value in values.items() if name not in shared}
-    return {section: {"ros__parameters": ros_yaml.tree_of(values)} for section, values in sections.items() if values}
+def refuse(own: OwnParameters, known: Iterable[str], given: Iterable[str]) -> None:
+    """Raise ParameterError for given names that are not known, with a suggestion among those of all nodes."""
+    if unknown := set(given) - set(known):
+        refuse_unknown(known, unknown, names_of_others(own))

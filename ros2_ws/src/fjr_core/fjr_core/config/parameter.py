@@ -14,7 +14,6 @@ import numpy as np
 
 from ..errors import FjrError, ParameterError, prefixed
 from ..files import importing
-from ..law.interfaces import StaticLaw
 from ..numerics.checks import Array
 from ..numerics.parameter_field import LIST, MATRIX, POINT, ROWS, SCALAR, VECTOR, Parameter, Value
 
@@ -151,7 +150,11 @@ def in_python(parameter: Parameter, values: Values) -> str:
     A class made of expressions, which derives from StaticLaw, is compiled.
     """
     name = str(values[parameter.name])
-    if not importing.is_named(name) or issubclass(importing.load(name), StaticLaw):
+    if not importing.is_named(name):
+        return ""
+    from ..law.interfaces import StaticLaw
+
+    if issubclass(importing.load(name), StaticLaw):
         return ""
     return f"{parameter.name} {name} is evaluated in Python: sweeps and comparisons are not compiled and take longer"
 

@@ -10,23 +10,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import FjrError, ParameterError, prefixed
-from ..extensions.python_code import own_plant
 from ..files.text_file import is_xml
-from ..model.port_hamiltonian import Plant
-from ..model.robot import Robot
 from ..numerics.checks import Array
-from ..numerics.integrators import INTEGRATORS
 from ..numerics.parameter_field import POINT, declared, parameter_field
 from ..simulation.imperfections import ChannelErrors, Imperfections, SensorErrors
 from .parameter import VECTOR, Parameter, Values, number, options, read, table
 from .process import process_parameters
 from .robot import description, locked_positions
 
+if TYPE_CHECKING:
+    from ..model.port_hamiltonian import Plant
+    from ..model.robot import Robot
+
 FLEXIBLE_JOINT = "flexible_joint"
+INTEGRATORS = ("rk4", "implicit_midpoint")
+"""Those of numerics.integrators."""
 ENGINES = ("mujoco", "drake")
 """Simulators of others, of the package fjr_engines."""
 _INITIAL_STATE = {
@@ -100,7 +103,11 @@ def plant(values: Values, robot: Robot) -> Plant:
     """Return the simulated robot of the values; raises ParameterError."""
     name, integrator = str(values[TYPE.name]), str(values["integrator"])
     if name == FLEXIBLE_JOINT:
+        from ..model.port_hamiltonian import Plant
+
         return Plant(robot, integrator, compile=bool(values["compile"]))
+    from ..extensions.python_code import own_plant
+
     with prefixed(f"parameter '{TYPE.name}' is {name!r}: ", FjrError):
         return own_plant(name, robot, options(TYPE, values), integrator)
 

@@ -3,67 +3,38 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING as REQUIRED
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..model.closed_form_arms import Rod, hanging_rod, planar_two_link, single_link, urdf_of_rods
-from ..model.robot import Robot
-from ..monitoring.external_torque import StatedErrors
-from ..numerics.checks import joint_names
+from ..numerics.checks import Array, joint_names
 from ..numerics.parameter_field import declared
-from ..urdf.robot import robot_from_urdf
-from ..urdf.tree import parse_xml
+from ..simulation.imperfections import StatedErrors
 from . import robot_file
 from .parameter import LIST, MATRIX, POINT, ROWS, VECTOR, Parameter, Values, named, names, read, rows, table, vector
+
+if TYPE_CHECKING:
+    from ..model.robot import Robot
 
 JOINTS = Parameter("joints", ("joint1",), "Joint names, in the order of all other lists", shape=LIST)
 FILE = Parameter("robot.file", "", "Parameter file of the robot: a path or package://; values given here override it")
 
 
-def _urdf(
-    urdf: str,
-    joints: Sequence[str],
-    stiffness: ArrayLike,
-    motor_inertia: ArrayLike,
-    gear_ratio: ArrayLike = 1.0,
-    link_damping: ArrayLike = 0.0,
-    motor_damping: ArrayLike = 0.0,
-    input_gain: ArrayLike = 1.0,
-    gravity_vector: ArrayLike = (0.0, 0.0, -9.81),
-    locked_joints: Sequence[str] = ("",),
-    locked_positions: ArrayLike = (0.0,),
-) -> Robot:
-    """Call robot_from_urdf; '' in locked_joints stands for none, since ROS parameters have no empty lists."""
-    positions = np.asarray(locked_positions, dtype=float)
-    if len(locked_joints) != len(positions):
-        raise ParameterError(
-            f"parameter 'robot.locked_positions' has length {len(positions)}; expected {len(locked_joints)}, "
-            "one for each of 'robot.locked_joints'"
-        )
-    return robot_from_urdf(
-        urdf,
-        list(joints),
-        stiffness,
-        motor_inertia,
-        link_damping,
-        motor_damping,
-        gravity_vector,
-        gear_ratio=gear_ratio,
-        locked={name: float(q) for name, q in zip(locked_joints, positions, strict=True) if name},
-        input_gain=input_gain,
-    )
-
-
-MODELS: dict[str, Callable[..., Robot]] = {
-    "single_link": single_link,
-    "planar_two_link": planar_two_link,
-    "urdf": _urdf,
+MODELS: dict[str, dict[str, Any]] = {
+    "single_link": {"stiffness": 31.0, "link_inertia": 0.031, "gravity_torque": 0.8}
+    | {"motor_inertia": 0.004, "link_damping": 0.2, "motor_damping": 0.007, "input_gain": 1.0},
+    "planar_two_link": {"stiffness": (40.0, 25.0), "link_mass": (1.2, 0.8), "link_length": (0.3, 0.25)}
+    | {"link_com": (0.15, 0.12), "link_inertia": (0.010, 0.005), "gravity": 9.81}
+    | {"motor_inertia": (0.02, 0.01), "link_damping": (0.2, 0.1), "motor_damping": (0.02, 0.01), "input_gain": 1.0},
+    "urdf": dict.fromkeys(("urdf", "joints", "stiffness", "motor_inertia"), REQUIRED)
+    | {"gear_ratio": 1.0, "link_damping": 0.0, "motor_damping": 0.0, "input_gain": 1.0}
+    | {"gravity_vector": (0.0, 0.0, -9.81), "locked_joints": ("",), "locked_positions": (0.0,)},
 }
+"""Arguments of the function that builds each model, with its defaults: those of model.closed_form_arms, urdf.robot."""
 _SIZES = {"single_link": 1, "planar_two_link": 2}  # other models: as many joints as `joints` lists
 MODEL = Parameter("robot.model", "single_link", "Robot model", choices=tuple(MODELS))
 
@@ -174,17 +145,15 @@ def joints_of(given: Mapping[str, object]) -> int:
 def robot_parameters(given: Mapping[str, object]) -> list[Parameter]:
     """Return the parameters of the given model for its joints; defaults are those of the model's function."""
     n = joints_of(given)
-    arguments = inspect.signature(MODELS[model_of(given)]).parameters.values()
-    own = [_parameter(argument).for_joints(n) for argument in arguments if argument.name != "joints"]
+    arguments = MODELS[model_of(given)].items()
+    own = [_parameter(*argument).for_joints(n) for argument in arguments if argument[0] != "joints"]
     curves = (each.for_joints(n) for each in (CUBIC, *TORSION))
     return [JOINTS, FILE, MODEL, *own, *curves, *table(GUESSES, n), *table(_DEVIATIONS, n)]
 
 
-def _parameter(argument: inspect.Parameter) -> Parameter:
-    """Return the parameter of a model's argument, required if the argument has no default."""
-    if argument.default is inspect.Parameter.empty:
-        return replace(_ARGUMENTS[argument.name], required=True)
-    return replace(_ARGUMENTS[argument.name], default=argument.default)
+def _parameter(name: str, default: Any) -> Parameter:
+    """Return the parameter of a model's argument."""
+    return replace(_ARGUMENTS[name], **({"required": True} if default is REQUIRED else {"default": default}))
 
 
 def robot(values: Values) -> Robot:
@@ -193,8 +162,7 @@ def robot(values: Values) -> Robot:
     n = joints_of(values)
     if len(joint_names(f"parameter '{JOINTS.name}'", joints, ParameterError)) != n:
         raise ParameterError(f"parameter '{JOINTS.name}' is {list(joints)}; expected the names of {n}, as {model} has")
-    build = MODELS[model]
-    arguments = read({name: _ARGUMENTS[name] for name in inspect.signature(build).parameters}, values, n)
+    arguments = read({name: _ARGUMENTS[name] for name in MODELS[model]}, values, n)
     fallback = "robot.urdf" if model == "urdf" else "robot"
     cubic, points = vector(values, CUBIC.name, n), [rows(values, each.name, n) for each in TORSION]
     if len(points[0]) != len(points[1]):
@@ -204,10 +172,40 @@ def robot(values: Values) -> Robot:
         )
 
     def built() -> Robot:
-        straight = build(**arguments)
+        straight = _built(model, **arguments)
         return replace(straight, cubic=cubic, torsion=np.stack(points)) if cubic.any() or np.any(points) else straight
 
     return named(lambda symbol: _SYMBOLS.get(symbol, fallback), built)
+
+
+def _built(model: str, **arguments: Any) -> Robot:
+    """Call the function that builds a model."""
+    if model == "urdf":
+        return _from_urdf(**arguments)
+    from ..model import closed_form_arms
+
+    built: Robot = getattr(closed_form_arms, model)(**arguments)
+    return built
+
+
+def _from_urdf(
+    urdf: str,
+    joints: Sequence[str],
+    gravity_vector: Array,
+    locked_joints: Sequence[str],
+    locked_positions: Sequence[float],
+    **given: Any,
+) -> Robot:
+    """Call robot_from_urdf; '' in locked_joints stands for none, since ROS parameters have no empty lists."""
+    from ..urdf.robot import robot_from_urdf
+
+    if len(locked_joints) != len(locked_positions):
+        raise ParameterError(
+            f"parameter 'robot.locked_positions' has length {len(locked_positions)}; expected {len(locked_joints)}, "
+            "one for each of 'robot.locked_joints'"
+        )
+    locked = {name: float(q) for name, q in zip(locked_joints, locked_positions, strict=True) if name}
+    return robot_from_urdf(urdf, list(joints), gravity=gravity_vector, locked=locked, **given)
 
 
 def stated_errors(values: Values) -> StatedErrors:
@@ -249,6 +247,8 @@ def description(values: Values) -> str:
     """
     if values[MODEL.name] == "urdf":
         return str(robot_file.inlined(values)["robot.urdf"])
+    from ..model.closed_form_arms import Rod, hanging_rod, urdf_of_rods
+
     if values[MODEL.name] == "single_link":
         inertia, load = (float(vector(values, f"robot.{each}", 1)[0]) for each in ("link_inertia", "gravity_torque"))
         rods = [hanging_rod(inertia, load)]
@@ -269,4 +269,8 @@ def locked_positions(values: Values) -> dict[str, float]:
 
 def robot_name(values: Values) -> str:
     """Return the name of the robot in its URDF."""
+    if values[MODEL.name] != "urdf":
+        return str(values[MODEL.name])
+    from ..urdf.tree import parse_xml
+
     return str(parse_xml(description(values)).get("name", ""))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot files: resolve and merge the files that `robot.file` and `robot.urdf` name, and inline them, without ROS.
+"""Files that values name: resolve and merge those of `robot.file` and `robot.urdf`, and inline them, without ROS.
 
-The path of `reference.file.path` is resolved here, too.
+The motion of `reference.file.path` is resolved and inlined here, too.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from ..errors import ParameterError, prefixed
+from ..errors import ParameterError, TrajectoryError, prefixed
 from ..files.text_file import is_lines, is_xml, read_text
 from . import ros_yaml
 
@@ -65,6 +65,17 @@ def inlined(values: Mapping[str, object]) -> dict[str, object]:
             reason = getattr(error, "strerror", error)
             raise ParameterError(f"parameter '{URDF}': cannot read {urdf} ({reason}); expected a URDF") from None
     return alone
+
+
+def motion_inlined(values: Mapping[str, object], joints: tuple[str, ...]) -> dict[str, object]:
+    """Return the values with the text of the motion in place of its path; raise ParameterError."""
+    from ..files.motion_table import motion_text, read_motion
+
+    path = values.get(MOTION)
+    if not isinstance(path, str) or not path or is_lines(path):
+        return dict(values)
+    with prefixed(f"parameter '{MOTION}': ", TrajectoryError):
+        return {**values, MOTION: motion_text(read_motion(path, joints), joints)}
 
 
 def resolve(reference: str, folder: Path) -> Path:

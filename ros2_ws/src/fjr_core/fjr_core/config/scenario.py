@@ -8,42 +8,42 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import ParameterError, prefixed
 from ..extensions.law_registry import V_DPBC
 from ..files.importing import is_named
-from ..law.gains import Gains
-from ..law.interfaces import SampledLaw, StaticLaw
-from ..law.vdpbc import TrackingLaw
-from ..model.port_hamiltonian import Plant
-from ..model.robot import Robot
-from ..monitoring.certificate import Certificate, Prediction
-from ..motions.reference import Reference
 from ..numerics.checks import Array
-from ..robust.law import RobustLaw, sampled_law
-from ..runtime.control_step import ControlStep
-from ..runtime.measurement_model import Measurement
-from ..runtime.safety_settings import Settings
-from ..runtime.velocity_observer import VelocityObserver
-from ..simulation.closed_loop import Trajectory, simulate
-from ..stability.linear_controller import Sensing
-from ..urdf.typical_joints import joints_without_inertia
 from . import controller as controller_parameters
 from . import law as law_parameters
 from . import parameter, ros_yaml
 from . import plant as plant_parameters
 from . import reference as reference_parameters
 from . import robot as robot_parameters
-from .controller import OBSERVER_BANDWIDTH, file_warnings, measurement_parameters
-from .nodes import CONTROLLER, PLANT, checked_values
+from .controller import OBSERVER_BANDWIDTH, measurement_parameters
+from .nodes import CONTROLLER, PLANT
+from .parameter_file import checked_values
+
+if TYPE_CHECKING:
+    from ..law.gains import Gains
+    from ..law.interfaces import SampledLaw, StaticLaw
+    from ..law.vdpbc import TrackingLaw
+    from ..model.port_hamiltonian import Plant
+    from ..model.robot import Robot
+    from ..motions.reference import Reference
+    from ..runtime.control_step import ControlStep
+    from ..runtime.measurement_model import Measurement
+    from ..runtime.safety_settings import Settings
+    from ..runtime.velocity_observer import VelocityObserver
+    from ..simulation.closed_loop import Trajectory
+    from ..stability.linear_controller import Sensing
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Checked parameter values of both nodes, and the objects that they describe."""
+    """Checked parameter values of both nodes, and the objects that they describe, which are built on use."""
 
     name: str
     plant_values: Mapping[str, parameter.Value]
@@ -77,6 +77,8 @@ class Scenario:
     @property
     def sensing(self) -> Sensing:
         """Sensing of the control law: velocity observer and torque sensor, from measurement.*."""
+        from ..stability.linear_controller import Sensing
+
         bandwidth = parameter.number(self.controller_values, OBSERVER_BANDWIDTH.name)
         return Sensing(bandwidth if self.measurement.observed else None, self.measurement.by_torque)
 
@@ -103,6 +105,8 @@ class Scenario:
     @property
     def tracking_law(self) -> TrackingLaw:
         """The control law if it is v-dPBC; raises ParameterError for a baseline."""
+        from ..law.vdpbc import TrackingLaw
+
         if not isinstance(self.law, TrackingLaw):
             raise ParameterError(f"parameter 'law.type' is {self.controller_values['law.type']!r}; expected 'v_dpbc'")
         return self.law
@@ -110,7 +114,12 @@ class Scenario:
     @cached_property
     def sampled_law(self) -> SampledLaw:
         """The control law with the robust action of robust.*, as the controller runs it."""
-        return sampled_law(self.law, law_parameters.robust_action(self.controller_values, self.law))
+        action = law_parameters.robust_action(self.controller_values, self.law)
+        if action.off:
+            return self.law.sampled
+        from ..robust.law import RobustLaw
+
+        return RobustLaw(self.law, action)
 
     @cached_property
     def settings(self) -> Settings:
@@ -137,11 +146,15 @@ class Scenario:
         """A sentence for each property of a reference from a file that asks for large efforts (docs/references.md)."""
         if self.controller_values["reference.type"] != "file":
             return ()
+        from .motion_warnings import file_warnings
+
         return tuple(file_warnings(self.controller_values, self.robot))
 
     @property
     def robot_warnings(self) -> tuple[str, ...]:
         """A sentence for each joint without inertia and each kind of robot.* value that is a guess."""
+        from ..urdf.typical_joints import joints_without_inertia
+
         thin = joints_without_inertia(self.robot).items()
         return (
             *(f"{self.joints[i]} {seen}; expected the inertia of its links in the URDF" for i, seen in thin),
@@ -165,6 +178,8 @@ class Scenario:
 
     def control_step(self, simulated: bool = False, compile: bool = False) -> ControlStep:
         """Return the control step of the controller, waiting for its first sample; see ControlStep."""
+        from ..runtime.control_step import ControlStep
+
         robust = law_parameters.robust_action(self.controller_values, self.law)
         parts = self.law, self.reference, self.settings, self.observer
         return ControlStep(*parts, simulated, robust, self.measurement, compile)
@@ -175,11 +190,14 @@ class Scenario:
 
     def warm_up(self) -> None:
         """Build law and plant step as the nodes do, so that their compiled functions are cached when they start."""
+        from ..monitoring.certificate import Certificate, Prediction
+        from ..robust.law import RobustLaw
+
         _ = self.law.measured_function
         if isinstance(self.sampled_law, RobustLaw):
             _ = self.sampled_law.ready_step
-        if self.controller_values["certificate"] and isinstance(self.law, TrackingLaw):
-            _ = Certificate(self.law).function, Prediction(self.law).function
+        if self.controller_values["certificate"] and (law := self.certified_law):
+            _ = Certificate(law).function, Prediction(law).function
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)
 
     def simulate(self, duration: float) -> Trajectory:
@@ -187,15 +205,37 @@ class Scenario:
 
         The plant is ideal: imperfections.* are not simulated, so there is no delay either.
         """
+        from ..simulation.closed_loop import simulate
+
         inner = self.sample_period / self.inner_steps
         return simulate(self.plant, self.sampled_law, self.reference, self.x0, duration, self.sample_period, inner)
 
+    def checked(self, user_code: bool = True) -> Scenario:
+        """Return this scenario once what it describes is built; raises ParameterError for values that contradict.
+
+        user_code: build a law and a plant of the user, too.
+        """
+        own_law, own_plant = (is_named(values[kind.name]) for kind, values in _types(self))
+        _ = self.reference, self.measurement, robot_parameters.stated_errors(self.controller_values)
+        if user_code or not own_law:
+            _ = self.sampled_law
+        if user_code or not own_plant:
+            _ = self.plant, self.x0
+        return self
+
 
 def load_scenario(path: str | Path, user_code: bool = True) -> Scenario:
-    """Read a scenario file; raises ParameterError, which names the file.
+    """Read and check a scenario file; raises ParameterError, which names the file.
 
     user_code: import a law and a plant of the user that it names. The report of a run needs neither: false.
     """
+    scenario = read_scenario(path, user_code)
+    with prefixed(f"{path}: "):
+        return scenario.checked(user_code)
+
+
+def read_scenario(path: str | Path, user_code: bool = True) -> Scenario:
+    """Read a scenario file and check each value by itself; `checked` does the rest. Arguments as of load_scenario."""
     path = Path(path)
     document = ros_yaml.read(path, "scenario")
     with prefixed(f"{path}: "):
@@ -203,30 +243,28 @@ def load_scenario(path: str | Path, user_code: bool = True) -> Scenario:
 
 
 def parse_scenario(name: str, text: str) -> Scenario:
-    """Read a scenario from its text; relative paths start at the current directory. Raises ParameterError."""
-    return _scenario(name, ros_yaml.parse(text), Path.cwd())
+    """Read and check a scenario of a text; relative paths start at the current directory. Raises ParameterError."""
+    return _scenario(name, ros_yaml.parse(text), Path.cwd()).checked()
 
 
 def _scenario(name: str, document: Any, folder: Path, user_code: bool = True) -> Scenario:
-    """Check the values of a document and build what they describe, of classes of the user on request."""
+    """Return the scenario of a document, with its values checked and its warnings."""
     reference_parameters.forget_files()
     checked, warnings = checked_values(document, folder, user_code)
     scenario = Scenario(name, checked[PLANT], checked[CONTROLLER])
-    types = (law_parameters.TYPE, scenario.controller_values), (plant_parameters.TYPE, scenario.plant_values)
-    in_python = [parameter.in_python(kind, values) for kind, values in types if user_code]
+    in_python = [parameter.in_python(kind, values) for kind, values in _types(scenario) if user_code]
     scenario = replace(scenario, warnings=(*warnings, *filter(None, [_hold_warning(scenario), *in_python])))
     joints = [checked[node]["joints"] for node in (PLANT, CONTROLLER)]
     if joints[0] != joints[1]:
         raise ParameterError(
             f"parameter 'joints' is {joints[0]} for the plant and {joints[1]} for the controller; expected the same"
         )
-    _ = scenario.reference, scenario.measurement, robot_parameters.stated_errors(scenario.controller_values)
-    own_law, own_plant = (is_named(values[kind.name]) for kind, values in types)
-    if user_code or not own_law:
-        _ = scenario.sampled_law
-    if user_code or not own_plant:
-        _ = scenario.plant, scenario.x0
     return scenario
+
+
+def _types(scenario: Scenario) -> tuple[tuple[parameter.Parameter, parameter.Values], ...]:
+    """Return the parameters that may name classes of the user, each with the values of its node."""
+    return (law_parameters.TYPE, scenario.controller_values), (plant_parameters.TYPE, scenario.plant_values)
 
 
 def _hold_warning(scenario: Scenario) -> str:

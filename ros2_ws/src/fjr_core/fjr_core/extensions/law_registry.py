@@ -6,17 +6,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import GainsError, ParameterError
 from ..files.importing import is_named, load
-from ..law.gains import two_scale_gains
-from ..law.interfaces import StaticLaw
-from ..law.vdpbc import TrackingLaw
-from .python_code import own_law
+
+if TYPE_CHECKING:
+    from ..law.interfaces import StaticLaw
 
 V_DPBC = "v_dpbc"
 GROUP = "fjr.laws"
@@ -58,33 +57,41 @@ class LawKind:
         return replace(gains, **{name: factor * np.asarray(getattr(gains, name)) for name, factor in each})
 
 
-_V_DPBC = LawKind(
-    V_DPBC,
-    "v-dPBC",
-    "Reyes-Baez, van der Schaft, Jayawardhana 2018",
-    TrackingLaw,
-    two_scale_gains,
-    default_damping=0.3,
-    damping_range=(0.1, 0.5),
-    scaled=("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md"),
-)
-
-
 class Laws(Mapping[str, LawKind]):
     """The laws by name: v-dPBC, and those that other packages register as entry points of the group GROUP.
 
-    An entry point names a tuple of LawKind; it is imported when a law other than v-dPBC is looked up or listed.
+    An entry point names a tuple of LawKind; it is imported when a law other than v-dPBC is looked up or listed, and
+    v-dPBC when it is looked up.
     """
+
+    @cached_property
+    def _v_dpbc(self) -> LawKind:
+        from ..law.gains import two_scale_gains
+        from ..law.vdpbc import TrackingLaw
+
+        return LawKind(
+            V_DPBC,
+            "v-dPBC",
+            "Reyes-Baez, van der Schaft, Jayawardhana 2018",
+            TrackingLaw,
+            two_scale_gains,
+            default_damping=0.3,
+            damping_range=(0.1, 0.5),
+            scaled=("Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md"),
+        )
 
     @cached_property
     def _all(self) -> dict[str, LawKind]:
         from importlib.metadata import entry_points  # here, because v-dPBC needs none
 
         registered = (kind for point in entry_points(group=GROUP) for kind in point.load())
-        return {V_DPBC: _V_DPBC, **{kind.name: kind for kind in registered}}
+        return {V_DPBC: self._v_dpbc, **{kind.name: kind for kind in registered}}
 
     def __getitem__(self, name: str) -> LawKind:
-        return _V_DPBC if name == V_DPBC else self._all[name]
+        return self._v_dpbc if name == V_DPBC else self._all[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name == V_DPBC or name in self._all
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._all)
@@ -105,6 +112,8 @@ def law_kind(name: str) -> LawKind:
         if name not in LAWS:
             raise ParameterError(f"law is {name!r}; expected one of {', '.join(LAWS)}")
         return LAWS[name]
+    from .python_code import own_law
+
     own = load(name)
     storage = "given by the law" if hasattr(own, "storage") else ""
 

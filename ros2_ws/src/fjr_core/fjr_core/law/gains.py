@@ -5,16 +5,19 @@ from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, fields
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import GainsError
-from ..model.robot import Robot
 from ..numerics import checks
 from ..numerics.checks import Array
 from ..numerics.one_line import one_line
 from ..numerics.parameter_field import MATRIX, parameter_field
+
+if TYPE_CHECKING:
+    from ..model.robot import Robot
 
 _gain = partial(parameter_field, shape=MATRIX, constraint="symmetric positive definite", dynamic=True)
 FASTEST_RATE = 0.5  # 1/sample, largest eigenvalue of M_m^-1 (K_md + D_m)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Set
 from dataclasses import dataclass, fields
 from functools import cached_property
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -24,7 +25,9 @@ from ..numerics.symbolic import dense_function, evaluate, symbols
 from .gains import Gains
 from .interfaces import StaticLaw
 from .lie_derivative import Flow, flow
-from .rate import Rate, rate
+
+if TYPE_CHECKING:
+    from .rate import Rate
 
 
 def law_expressions(flow: Flow, gains: SimpleNamespace, omega: ca.SX) -> dict[str, ca.SX]:
@@ -157,6 +160,8 @@ class TrackingLaw(StaticLaw):
 
     def rate(self, configurations: ArrayLike | None = None) -> Rate:
         """Return the convergence rates [1/s], proven if the vertices of M_l are known, else sampled (k, n)."""
+        from .rate import rate
+
         return rate(self.robot, self.gains, configurations)
 
     def proven_rate(self, domain: Domain | None = None, goal: float = GOAL, most_boxes: int = MOST_BOXES) -> Rate:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of the joints of a robot, and the units of revolute and prismatic joints."""
+"""Limits and measured states of the joints of a robot, and the units of revolute and prismatic joints."""
 
 from __future__ import annotations
 
@@ -67,3 +67,17 @@ PRISMATIC = Units("m", "m/s", "m/s^2", "N")
 def joined(units: Iterable[str]) -> str:
     """Return the distinct units of several joints, separated by commas, as in "rad, m"."""
     return ", ".join(dict.fromkeys(units))
+
+
+class JointSample(NamedTuple):
+    """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
+
+    q_m, dq_m: as in the message, before the gear; q_m is the joint torque [N m] where that is measured instead.
+    Velocities are None if an observer estimates them.
+    """
+
+    stamp: int
+    q_l: Array
+    q_m: Array
+    dq_l: Array | None = None
+    dq_m: Array | None = None

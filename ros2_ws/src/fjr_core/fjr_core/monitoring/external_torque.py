@@ -26,9 +26,8 @@ from ..errors import ParameterError
 from ..model import springs
 from ..model.rigid_arm import RigidArm
 from ..model.robot import Robot
-from ..numerics.c_function import CFunction, WorkSpace
 from ..numerics.checks import Array, positive
-from ..numerics.jit import compiled_from_inputs
+from ..numerics.jit import CFunction, WorkSpace, compiled_from_inputs
 from ..numerics.one_line import brief
 from ..numerics.symbolic import PackedVector, dense_function, symbols
 from ..robust.disturbance_observer import momenta, next_residual

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import GainsError, StateError, UserCodeError
 from ..law.interfaces import StaticLaw
+from ..model.joints import JointSample
 from ..motions.reference import JETS, Reference
 from ..numerics.checks import Array
 from ..numerics.jit import record_type
@@ -21,7 +22,7 @@ from ..robust.law import RobustLaw, sampled_law
 from ..robust.options import Robust
 from .events import NEVER, STATES, Event, Journal, State
 from .library import Model, law_function, model_functions, settings_struct, step_library
-from .measurement_model import JointSample, Measurement
+from .measurement_model import Measurement
 from .reference import ReferenceStruct
 from .safety_settings import Settings
 from .velocity_observer import VelocityObserver

@@ -15,9 +15,8 @@ import numpy as np
 from ..law.interfaces import SampledLaw, StaticLaw
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
-from ..numerics.c_function import CFunction, WorkSpace
 from ..numerics.checks import Array
-from ..numerics.jit import CLibrary, c_library, compiled, machine_code
+from ..numerics.jit import CFunction, CLibrary, WorkSpace, c_library, compiled, machine_code
 from ..numerics.symbolic import dense_function, symbols
 from .measurement_model import Measurement
 from .safety_settings import GRAVITY_HOLD, REACTIONS, Settings

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -86,17 +85,3 @@ class Measurement:
     def by_torque(self) -> bool:
         """True if motor positions are computed from joint torques."""
         return self.motor == TORQUE
-
-
-class JointSample(NamedTuple):
-    """A measured state: stamp [ns], positions [rad] and velocities [rad/s] of links and motors, each (n,).
-
-    q_m, dq_m: as in the message, before the gear; q_m is the joint torque [N m] where that is measured instead.
-    Velocities are None if an observer estimates them.
-    """
-
-    stamp: int
-    q_l: Array
-    q_m: Array
-    dq_l: Array | None = None
-    dq_m: Array | None = None

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ParameterError
-from ..model.robot import Robot
 from ..numerics import checks
 from ..numerics.checks import Array
 from ..numerics.one_line import one_line
 from ..numerics.parameter_field import POINT, VECTOR, declared, parameter_field
+
+if TYPE_CHECKING:
+    from ..model.robot import Robot
 
 SIZES = {"payload_mass": 1, "payload_position": 3}  # of the others: one entry per joint
 

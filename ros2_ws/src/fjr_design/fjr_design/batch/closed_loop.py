@@ -25,9 +25,8 @@ from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics import checks, jit
-from fjr_core.numerics.c_function import CFunction
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import CLibrary, c_library, program_digest
+from fjr_core.numerics.jit import CFunction, CLibrary, c_library, program_digest
 from fjr_core.runtime.events import KINDS, STARTS_REFUSED, STOPS
 from fjr_core.runtime.library import HEADER, Model, c_code, model_functions, settings_struct, sizes, text
 from fjr_core.runtime.measurement_model import Measurement

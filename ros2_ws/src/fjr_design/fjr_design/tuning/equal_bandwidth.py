@@ -28,7 +28,6 @@ from fjr_core.config import law, robot_file
 from fjr_core.config.law import START_ERROR, sample_period
 from fjr_core.config.law import gains as build_gains
 from fjr_core.config.parameter import Values, names, vector
-from fjr_core.config.reference import motion_inlined
 from fjr_core.config.reference import reference as build_reference
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.scenario import Scenario
@@ -274,7 +273,7 @@ def tuning(values: Values) -> Tuning:
     or GainsError.
     """
     relevant = ("robot.", "gains.", "reference.", law.TYPE.name, law.INITIAL_ERROR.name, law.SAMPLE_RATE.name, "joints")
-    alone = motion_inlined(robot_file.inlined(values), names(values, "joints"))  # files may change
+    alone = robot_file.motion_inlined(robot_file.inlined(values), names(values, "joints"))  # files may change
     return _tuned(tuple(sorted((name, value) for name, value in alone.items() if name.startswith(relevant))))
 
 

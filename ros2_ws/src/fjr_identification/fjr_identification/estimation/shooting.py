@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from fjr_core.numerics import jit
-from fjr_core.numerics.c_function import CFunction, WorkSpace
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.jit import c_library_of
+from fjr_core.numerics.jit import CFunction, WorkSpace, c_library_of
 
 from .elastic_arm import ElasticArm, packed
 from .parameters import LAG, SMOOTHING

@@ -17,8 +17,8 @@ import numpy as np
 from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics import jit
-from fjr_core.numerics.c_function import CFunction, WorkSpace
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import CFunction, WorkSpace
 from fjr_core.runtime.events import Finding
 from fjr_core.runtime.library import rigid_arm_functions, step_library, write_robot
 

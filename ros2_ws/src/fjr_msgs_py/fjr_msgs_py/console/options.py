@@ -16,6 +16,8 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from fjr_core.errors import FjrError
+
 from .output import tell
 from .ros2 import installed_files
 
@@ -110,12 +112,11 @@ def complete_scenario(_context: click.Context, _parameter: click.Parameter, inco
 
 def complete_assignment(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Complete the names of the parameters of the given scenario; the help is the present value."""
-    from fjr_core.config.scenario import load_scenario  # loads CasADi
-    from fjr_core.errors import FjrError
+    from fjr_core.config.scenario import read_scenario
 
     named = context.params.get("scenario") or "paper_k31"
     try:
-        scenario = load_scenario(installed_files("scenarios").get(named, Path(named)))
+        scenario = read_scenario(installed_files("scenarios").get(named, Path(named)))
     except FjrError:
         return []
     values = {**scenario.plant_values, **scenario.controller_values}

@@ -14,6 +14,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from fjr_core.version import __version__
+
 EPOCH = "SOURCE_DATE_EPOCH"  # environment variable; seconds since 1970 that replace the clock (reproducible-builds.org)
 MODELS = ("model name", "Model")  # lines of /proc/cpuinfo on x86 and on ARM
 
@@ -54,8 +56,6 @@ def begin_command(arguments: Sequence[str]) -> None:
 
 def provenance() -> Provenance:
     """Return the origin of what the present command writes; the date is that of its start."""
-    from fjr_core.version import __version__  # here, because fjr_core loads slowly and begin_command is called first
-
     arguments, begin = _command
     date = begin.strftime("%Y-%m-%d %H:%M UTC")
     return Provenance(date, f"fjr {__version__}", without_home(shlex.join(arguments)), machine())

@@ -12,6 +12,8 @@ import shlex
 import shutil
 from pathlib import Path
 
+from fjr_core.errors import FjrError
+
 from ..node.loading import ensure_log_folder, environment_fault
 
 INSTALLATION = (
@@ -40,8 +42,6 @@ def play_command(bag: Path) -> str:
 def refuse_over_ros2(command: str, advantage: str, force: bool) -> None:
     """Raise FjrError, naming the `command` of ros2 to use, if ros2 is on the PATH, unless forced."""
     if not force and (found := shutil.which("ros2")):
-        from fjr_core.errors import FjrError  # loads CasADi
-
         raise FjrError(f"{found} does this better: use `{command}` ({advantage}), or add --force")
 
 
@@ -53,8 +53,6 @@ def discover_quickly(locally: bool = False) -> None:
     from ament_index_python.packages import get_package_share_directory  # loaded on use
 
     if fault := environment_fault():
-        from fjr_core.errors import FjrError  # loads CasADi
-
         raise FjrError(fault)
     ensure_log_folder()
     profile = Path(get_package_share_directory("fjr_bringup"), "config", "fastdds.xml")

@@ -7,7 +7,7 @@ The native loops read the same messages in C (cdr.c), which counts what it refus
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -16,12 +16,15 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from fjr_core import FjrError, Measurement
+from fjr_core.errors import FjrError
+from fjr_core.model.joints import JointSample
 from fjr_core.numerics.checks import Array
-from fjr_core.runtime.measurement_model import JointSample
 
 from ..names import state_names
 from .cdr import LITTLE_ENDIAN, Form
+
+if TYPE_CHECKING:
+    from fjr_core.runtime.measurement_model import Measurement
 
 SECOND = 1_000_000_000  # ns
 OR_OBSERVED = ", or the parameter measurement.velocity set to observer"
@@ -106,20 +109,19 @@ class StateReader:
 
     def __init__(self, joints: tuple[str, ...], measurement: Measurement | None = None) -> None:
         self._n = len(joints)
-        self._measurement = measurement or Measurement(self._n)
-        self.names = list(joints) if self._measurement.by_torque else state_names(joints)
+        self._by_torque = measurement is not None and measurement.by_torque
+        self._observed = measurement is not None and measurement.observed
+        self.names = list(joints) if self._by_torque else state_names(joints)
 
     def read(self, message: JointState) -> JointSample:
         """Return the state in the order of the joints, in new arrays; raises MessageError for an invalid message."""
         positions, n = picked(message, "position", self.names), self._n
-        motor = picked(message, "effort", self.names) if self._measurement.by_torque else positions[n:]
-        velocity = None if self._measurement.observed else picked(message, "velocity", self.names)
+        motor = picked(message, "effort", self.names) if self._by_torque else positions[n:]
+        velocity = () if self._observed else np.split(picked(message, "velocity", self.names), 2)
         stamp = nanoseconds(message.header.stamp)
         if not 0 < stamp < FIRST_UNSENDABLE:
             raise MessageError("no stamp", f"header.stamp is {stamp} ns; expected the time of the measurement")
-        if velocity is None:
-            return JointSample(stamp, positions[:n], motor)
-        return JointSample(stamp, positions[:n], motor, velocity[:n], velocity[n:])
+        return JointSample(stamp, positions[:n], motor, *velocity)
 
 
 def read_efforts(message: Float64MultiArray, joints: Sequence[str]) -> Array:

@@ -18,10 +18,9 @@ from rclpy.parameter import Parameter as RosParameter
 
 from fjr_core import FjrError, ParameterError
 from fjr_core.config import ros_yaml
-from fjr_core.config.nodes import OwnParameters, is_of_others, names_of_others, resolve
-from fjr_core.config.parameter import Parameter, Value, refuse_unknown, unread_options
+from fjr_core.config.nodes import OwnParameters, is_of_others, refuse, resolve
+from fjr_core.config.parameter import Parameter, Value, unread_options
 
-from ..messages.plain import plain
 from .participant import exchange_as_processes_do
 from .process import LONGEST, EndingNode
 
@@ -234,7 +233,7 @@ class ParameterNode(EndingNode):
 
     def _refuse_unknown(self, new: Iterable[str]) -> None:
         if self._parameters_by_name:
-            refuse_unknown(self._parameters_by_name, new, names_of_others(self._own))
+            refuse(self._own, self._parameters_by_name, new)
 
 
 class ManagedParameterNode(ParameterNode, LifecycleNode):
@@ -327,7 +326,7 @@ def overruled(arguments: Sequence[str], node: str, values: Mapping[str, Any]) ->
     for name, rule in last.items():
         if name in values and not same_value(rule.value, values[name]):
             return (
-                f"argument '-p {rule.text}' has no effect: a parameter file sets {name} to {plain(values[name])!r}; "
+                f"argument '-p {rule.text}' has no effect: a parameter file sets {name} to {_listed(values[name])!r}; "
                 "expected -p after --params-file, and the file's value in the section /** (-p reaches no other)"
             )
     return ""
@@ -335,4 +334,9 @@ def overruled(arguments: Sequence[str], node: str, values: Mapping[str, Any]) ->
 
 def same_value(one: Any, other: Any) -> bool:
     """Return True if two parameter values are equal in type and value; nan equals nan."""
-    return repr(plain(one)) == repr(plain(other))
+    return repr(_listed(one)) == repr(_listed(other))
+
+
+def _listed(value: Any) -> Any:
+    """Return a sequence of numbers or texts as a list, any other value as it is."""
+    return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)

@@ -18,6 +18,8 @@ import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
+from fjr_core.errors import FjrError
+
 from .loading import ensure_log_folder, environment_fault, on_signals
 from .scheduling import ahead_of_new_threads, step_back
 
@@ -75,8 +77,6 @@ def initialise(args: list[str] | None) -> None:
     """
     if not _initialised:
         if fault := environment_fault():
-            from fjr_core import FjrError  # loads CasADi
-
             raise FjrError(fault)
         ensure_log_folder()
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)

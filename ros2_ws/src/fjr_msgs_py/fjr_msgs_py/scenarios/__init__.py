@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fjr_core.errors import MissingPackageError
 from fjr_msgs_py.console.ros2 import INSTALLATION, installed_files
 
 
@@ -12,8 +13,6 @@ def installed(kind: str) -> dict[str, Path]:
     """Return the installed files of a kind (scenarios, sweeps, suites) by name; raises MissingPackageError."""
     found = installed_files(kind)
     if not found:
-        from fjr_core.errors import MissingPackageError  # loads CasADi
-
         raise MissingPackageError(f"package fjr_bringup is not installed here; {INSTALLATION}")
     return found
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from fjr_core.config import robot_file, ros_yaml
-from fjr_core.config.nodes import CONTROLLER, OWN_PARAMETERS, all_parameters, given_to_nodes, self_contained
+from fjr_core.config.nodes import CONTROLLER, all_parameters, own_parameters
 from fjr_core.config.parameter import refuse_unknown
+from fjr_core.config.parameter_file import given_to_nodes, self_contained
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import FjrError, ParameterError, prefixed
 from fjr_msgs_py.scenarios import installed
@@ -123,7 +124,7 @@ def _nodes_with(name: str, given: Mapping[str, Mapping[str, object]], folder: Pa
         raise ParameterError(f"the name of a parameter is {name!r}; expected text")
     by_node = {}
     for node, values in given.items():
-        parameters = all_parameters(OWN_PARAMETERS[node], robot_file.merged(values, node, folder))
+        parameters = all_parameters(own_parameters(node), robot_file.merged(values, node, folder))
         by_node[node] = [parameter.name for parameter in parameters]
     nodes = [node for node, names in by_node.items() if name in names]
     if not nodes:
