@@ -14,10 +14,9 @@ import pytest
 import fjr_core as fjr
 from fjr_core.config import ros_yaml
 from fjr_core.config.parameter import complete
-from fjr_core.config.parameter_file import self_contained
 from fjr_core.config.reference import reference as build_reference
 from fjr_core.config.reference import reference_parameters
-from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
+from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario, self_contained
 from fjr_core.motions.reference import Reference
 from fuzzing import refused
 

@@ -15,12 +15,11 @@ from fjr_core.config.controller import controller_parameters
 from fjr_core.config.law import gain_values
 from fjr_core.config.law import gains as build_gains
 from fjr_core.config.nodes import CONTROLLER, NODES, all_parameters
-from fjr_core.config.parameter_file import self_contained
 from fjr_core.config.plant import plant_parameters
 from fjr_core.config.robot import description
 from fjr_core.config.robot import robot as build_robot
 from fjr_core.config.robot_file import inlined, located
-from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario
+from fjr_core.config.scenario import Scenario, load_scenario, parse_scenario, self_contained
 from fuzzing import refused
 from two_link_urdf import JOINTS, LINK_DAMPING, MOTOR_DAMPING, MOTOR_INERTIA, STIFFNESS, two_link_urdf
 

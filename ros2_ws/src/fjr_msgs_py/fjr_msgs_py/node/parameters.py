@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -213,7 +213,8 @@ class ParameterNode(EndingNode):
                 raise ParameterError(f"parameter '{_SIM_TIME}' can be set only {self._when_open}")
             if new and self.is_open():  # an option may be of a class that is named before the next `recheck`
                 options = unread_options(self._parameters_by_name.values(), new, user_code=False)
-                self._refuse_unknown(new.keys() - options)
+                if self._parameters_by_name:
+                    refuse(self._own, self._parameters_by_name, new.keys() - options)
             elif new:
                 values = {**self.values, **self._checked_change(new)}
                 self.changed(values, set(new))
@@ -225,15 +226,11 @@ class ParameterNode(EndingNode):
 
     def _checked_change(self, new: Mapping[str, object]) -> dict[str, Value]:
         """Return the set values, checked one by one; raises ParameterError for a parameter that may not change now."""
-        self._refuse_unknown(new)
+        refuse(self._own, self._parameters_by_name, new)
         for name in new:
             if not self._parameters_by_name[name].dynamic:
                 raise ParameterError(f"parameter '{name}' can be set only {self._when_open}")
         return {name: self._parameters_by_name[name].check(value) for name, value in new.items()}
-
-    def _refuse_unknown(self, new: Iterable[str]) -> None:
-        if self._parameters_by_name:
-            refuse(self._own, self._parameters_by_name, new)
 
 
 class ManagedParameterNode(ParameterNode, LifecycleNode):
@@ -338,5 +335,4 @@ def same_value(one: Any, other: Any) -> bool:
 
 
 def _listed(value: Any) -> Any:
-    """Return a sequence of numbers or texts as a list, any other value as it is."""
     return value if value is None or isinstance(value, (bool, int, float, str)) else list(value)

@@ -12,8 +12,7 @@ from typing import Any
 from fjr_core.config import robot_file, ros_yaml
 from fjr_core.config.nodes import CONTROLLER, all_parameters, own_parameters
 from fjr_core.config.parameter import refuse_unknown
-from fjr_core.config.parameter_file import given_to_nodes, self_contained
-from fjr_core.config.scenario import Scenario, parse_scenario
+from fjr_core.config.scenario import Scenario, given_to_nodes, parse_scenario, self_contained
 from fjr_core.errors import FjrError, ParameterError, prefixed
 from fjr_msgs_py.scenarios import installed
 
