@@ -12,7 +12,6 @@ Tracking of Flexible-joints Robots", IFAC LHMNC 2018. Equation numbers in docstr
 
 from typing import TYPE_CHECKING, Any
 
-from .files import importing
 from .version import __version__ as __version__
 
 if TYPE_CHECKING:  # each name is exported, PEP 484
@@ -103,6 +102,8 @@ def __getattr__(name: str) -> Any:
     """
     if name not in _HOME:
         raise AttributeError(f"module 'fjr_core' has no attribute {name!r}")
+    from .files import importing
+
     module = importing.module(_HOME[name])
     found = globals()[name] = getattr(module, name, module)
     return found
