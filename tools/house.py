@@ -1,15 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Print the size of the house: python tools/house.py. Lines are a proxy for what a reader has to hold."""
+"""Print the size of the house: python tools/house.py. Lines are a proxy for what a reader has to hold.
+
+`--walks` adds the lines of the modules that a few acts import, each in a process of its own (source setup.sh first).
+"""
 
 from __future__ import annotations
 
 import ast
+import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 from statistics import median
 
 ROOT = Path(__file__).resolve().parents[1]
+SCENARIOS = ROOT / "ros2_ws" / "src" / "fjr_bringup" / "scenarios"
+OF_SCENARIOS = "from fjr_core.config.scenario import load_scenario, read_scenario; "
+WALKS = {
+    "read paper_k31": f"{OF_SCENARIOS} read_scenario({str(SCENARIOS / 'paper_k31.yaml')!r})",
+    "read and build paper_k31": f"{OF_SCENARIOS} load_scenario({str(SCENARIOS / 'paper_k31.yaml')!r})",
+    "read and build arm7": f"{OF_SCENARIOS} load_scenario({str(SCENARIOS / 'arm7.yaml')!r})",
+    "plant node": "import fjr_plant.plant_node",
+    "controller node": "import fjr_controller.controller_node",
+}
+"""Acts by name, as statements of Python."""
+REACHED = """
+import sys
+files = {module.__file__ for name, module in sys.modules.items() if name.startswith("fjr_") and module.__file__}
+print(sum(len(open(file, encoding="utf-8").readlines()) for file in files if file.endswith(".py")), len(files))
+"""
 HEADINGS = ("folder", "modules", "lines", "lines a module", "functions", "median function")
 
 
@@ -25,6 +44,9 @@ def main() -> int:
         print("| " + " | ".join([name, *map(str, _row(files))]) + " |")
     pages = [*ROOT.glob("docs/*.md"), *ROOT.glob("*.md")]
     print(f"\n{sum(len(page.read_text(encoding='utf-8').split()) for page in pages):,} words on {len(pages)} pages")
+    for name, act in WALKS.items() if "--walks" in sys.argv else ():
+        ran = subprocess.run([sys.executable, "-c", act + REACHED], capture_output=True, text=True, check=True)
+        print("{}: {:,} lines in {} modules".format(name, *map(int, ran.stdout.split())))
     return 0
 
 
