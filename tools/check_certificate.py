@@ -244,9 +244,12 @@ def resists(body: dict[str, Any]) -> bool:
     """Return whether a body has inertia about, or mass along, its own joint. M_l is positive definite if all have.
 
     For dq = (0, .., 0, dq_k, ..) with dq_k != 0, body k moves with its own joint only: its kinetic energy is positive.
+    That of no body is negative: an inertia that is semidefinite up to rounding only does not count.
     """
     inertia, (x, y, _) = body["inertia"], body["com"]
-    size = np.max(np.abs(inertia))
+    size, moments = np.max(np.abs(inertia)), np.diag(inertia)
+    if not (np.all(inertia == np.diag(np.abs(moments))) or positive_definite(Box(inertia))):
+        return False
     return body["mass"] > 0 if body["prismatic"] else inertia[2, 2] + body["mass"] * (x * x + y * y) > TOLERANCE * size
 
 
@@ -262,6 +265,7 @@ def values_of(content: dict[str, Any]) -> tuple[list[dict[str, Any]], list[Joint
         require(
             type(name) is str and name.isprintable() and name, f"a joint is named {name!r}; expected printable names"
         )
+        require(joints.count(name) == 1, f"{joints.count(name)} joints are named {name!r}; expected a name for each")
     beta = float(array(content["beta"], (), "beta"))
     lower, upper = (array(content[name], (n,), name) for name in ("lower", "upper"))
     require(beta > 0, "beta is not positive")
@@ -279,6 +283,13 @@ def expected(value: Any, kind: type, name: str) -> Any:
     """Return a value of this type; raise RefusedError for any other, e.g. true in place of a number."""
     require(type(value) is kind, f"{name} is of type {type(value).__name__}; expected {kind.__name__}")
     return value
+
+
+def of_one_value_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of JSON; raise RefusedError if two entries have one name, of which other readers take either."""
+    found = dict(pairs)
+    require(len(found) == len(pairs), "an object has two entries of one name")
+    return found
 
 
 def array(value: Any, shape: tuple[int, ...], name: str) -> Array:
@@ -317,8 +328,9 @@ def check_blocks(beta: float, matrix: dict[str, Box]) -> None:
         twice, cubic = matrix[Pi] @ matrix[Lambda], matrix[Pi].lo @ matrix[Gamma].lo
         twice = twice + twice.transposed()
         blocks[f"sym({Pi} {Lambda}) - beta {Pi}"] = twice * Box(0.5) - Box(beta) * matrix[Pi]
-        off = np.max(np.abs(cubic - np.diag(np.diag(cubic)))) <= TOLERANCE * np.max(np.abs(cubic))
-        require(off and np.all(np.diag(cubic) >= 0), f"{Pi} {Gamma} is not diagonal and nonnegative")
+        diagonal = np.diag(cubic)  # the square of the error at joint k multiplies column k
+        off = np.max(np.abs(cubic - np.diag(diagonal)), axis=0) <= TOLERANCE * diagonal
+        require(np.all(off) and np.all(diagonal >= 0), f"{Pi} {Gamma} is not diagonal and nonnegative")
     for name, block in blocks.items():
         require(positive_definite(block), f"{name} is not proven positive definite")
 
@@ -332,7 +344,7 @@ def main(arguments: list[str]) -> int:
     )
     given = parser.parse_args(arguments)
     try:
-        content = json.loads(Path(given.file).read_text(encoding="utf-8"))
+        content = json.loads(Path(given.file).read_text(encoding="utf-8"), object_pairs_hook=of_one_value_each)
         require(isinstance(content, dict), "it is not a JSON object")
         with np.errstate(all="ignore"):  # what is not a number is not positive
             boxes = checked(content, given.seconds)

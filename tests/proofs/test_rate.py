@@ -199,12 +199,14 @@ CHANGES: dict[str, tuple[list[Any], Callable[[Any], Any]]] = {
     "a lower K_md": (["K_md"], times(1e-3)),
     "a lower Lambda_m": (["Lambda_m"], times(1e-3)),
     "a negative Gamma_l": (["Gamma_l"], lambda Gamma: (-np.eye(3)).tolist()),
+    "a cubic gain off a zero diagonal": (["Gamma_l"], lambda Gamma: [[1e12, 1.0, 0.0], [0.0] * 3, [0.0] * 3]),
     "a negative M_m": (["M_m"], times(-1.0)),
     "no Pi_l": ([], lambda content: {name: value for name, value in content.items() if name != "Pi_l"}),
     "nan in the range": (["upper", 1], lambda end: float("nan")),
     "an integer beyond all doubles": (["upper", 1], lambda end: 10**400),
     "a wider range": ([], lambda content: content | {"upper": [2.0 + end for end in content["upper"]]}),
     "an escape in a name": (["joints", 0], lambda name: "joint\x1b[2J"),
+    "two joints of one name": (["joints", 1], lambda name: "joint0"),
     "an entry of another program": ([], lambda content: content | {"\x1b[2J": 1.0}),
     "twelve joints": ([], of_twelve_joints),
 }
@@ -245,14 +247,28 @@ def test_a_check_ends_after_its_time() -> None:
 
 def test_a_body_without_inertia_is_accepted_where_the_others_prove_the_inertia_matrix() -> None:
     """A massless body between two joints whose axes cross, as of a universal joint; heavy and light parts differ."""
+    sphere = {"mass": 1.0, "inertia": (0.1 * np.eye(3)).tolist()}
+    assert checked(sealed(universal({"mass": 0.0, "inertia": np.zeros((3, 3)).tolist()}, sphere))) == 1
+
+
+def test_an_inertia_that_is_negative_by_less_than_rounding_of_its_largest_entry_proves_no_inertia_matrix() -> None:
+    """M_l is 0.5 - 1 where the second body turns about its axis of negative inertia."""
+    first = {"mass": 1.0, "inertia": (0.5 * np.eye(3)).tolist()}
+    second = {"mass": 1.0, "inertia": np.diag([2e12, -1.0, 2e12]).tolist()}
+    content = universal(first, second) | {"beta": 0.5, "K_ld": np.diag([1e13, 1e13]).tolist()}
+    with pytest.raises(RefusedError, match="M_l is not proven positive definite"):
+        checked(sealed(content))
+
+
+def universal(first: dict[str, Any], second: dict[str, Any]) -> Certificate:
+    """Return the content of a certificate of two joints whose axes cross, with mass and inertia of the bodies."""
     body = {"prismatic": False, "rotation": np.eye(3).tolist(), "translation": [0.0, 0.0, 0.0], "com": [0.0, 0.0, 0.0]}
     turned = {**body, "rotation": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]}
-    sphere = {"mass": 1.0, "inertia": (0.1 * np.eye(3)).tolist()}
     unit, zero = np.eye(2).tolist(), np.zeros((2, 2)).tolist()
-    content = {
+    return {
         "format": "rate certificate 1",
         "joints": ["a", "b"],
-        "bodies": [{**body, "mass": 0.0, "inertia": np.zeros((3, 3)).tolist()}, {**turned, **sphere}],
+        "bodies": [{**body, **first}, {**turned, **second}],
         **dict.fromkeys(("M_m", "Lambda_l", "Pi_l", "K_ld", "Lambda_m", "Pi_m", "K_md"), unit),
         **dict.fromkeys(("D_l", "D_m", "Gamma_l", "Gamma_m"), zero),
         "lower": [-1.0, -1.0],
@@ -260,7 +276,6 @@ def test_a_body_without_inertia_is_accepted_where_the_others_prove_the_inertia_m
         "beta": 0.9,
         "boxes": [0],
     }
-    assert checked(sealed(content)) == 1
 
 
 def test_the_program_prints_one_sentence_and_returns_whether_the_rate_is_proven(tmp_path: Path) -> None:
@@ -269,6 +284,7 @@ def test_the_program_prints_one_sentence_and_returns_whether_the_rate_is_proven(
         (certificate_text(2, 1)[0], 0, "proven: beta = "),
         ("{}", 1, "refused: sha256 is not the digest"),
         ("no JSON", 1, "refused: "),
+        ('{"beta": 100.0, ' + certificate_text(2, 1)[0][1:], 1, "refused: an object has two entries of one name"),
     ):
         file.write_text(content)
         done = subprocess.run([sys.executable, CHECKER, file], capture_output=True, text=True)
