@@ -101,6 +101,17 @@ def test_numbers_are_formatted_readably(value: float | None, text: str) -> None:
     assert number(99.6, "%", 2) == "100 %"
 
 
+def test_only_none_and_all_read_0_and_100_percent() -> None:
+    one_late = 1 - 1 / 50_000
+    assert [percent(share) for share in (0.0, 1 / 50_000, one_late, 1.0)] == [
+        "0.00 %",
+        "< 0.01 %",
+        "> 99.99 %",
+        "100.00 %",
+    ]
+    assert [percent(share, 0) for share in (1e-9, 0.994, 0.996, 1.004)] == ["< 1 %", "99 %", "> 99 %", "100 %"]
+
+
 def test_text_from_a_bag_does_not_steer_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     Result("column\tµ\nthe states name \x1b[2J", {"name": "\x1b[2J"}).show(as_json=False)
     tell("\x9b2J\r–")

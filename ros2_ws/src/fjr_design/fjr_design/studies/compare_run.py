@@ -33,7 +33,7 @@ from fjr_core.robust.law import sampled_law
 from fjr_core.robust.options import Robust
 from fjr_core.stability.linearization import spectral_radius
 from fjr_msgs_py.console.ending import stoppable
-from fjr_msgs_py.console.output import Result, aligned, finite, progress_bar, tell
+from fjr_msgs_py.console.output import Result, aligned, finite, percent, progress_bar, tell
 from fjr_msgs_py.scenarios import library
 
 from ..batch import scenario_loop
@@ -253,7 +253,7 @@ def _tuned(
     score = study.score(chosen, fresh)
     summary = {"rms": score.figures["rms"], "rms_outer": quantile(fresh["rms"], OUTER), "success": score.success}
     summary |= {name: score.figures[name] for name in ("effort_noise", "effort_peak")}
-    tracking = f"on {study.fresh} fresh draws {100 * score.success:.3g} % track"
+    tracking = f"on {study.fresh} fresh draws {percent(score.success, 1)} track"
     return TunedLaw(
         study.coordinates.controller(chosen)[0],
         effort_limit,

@@ -14,7 +14,7 @@ import numpy as np
 
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
-from fjr_msgs_py.console.output import number
+from fjr_msgs_py.console.output import number, percent
 
 from .hypotheses import JOINT, LINK, MOTOR, Hypothesis, hypotheses
 from .residuals import Residuals, explained_share
@@ -137,7 +137,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
         what = f"{names[joint]}: no one kind of fault explains the residual torque better than others"
         return (Finding(UNKNOWN, names[joint], share=share, sentence=what),)
     first = several[0]
-    what = " or ".join(each.place(names) for each in several) + f" explains {100 * share:.0f} % of the residual torque"
+    what = " or ".join(each.place(names) for each in several) + f" explains {percent(share, 0)} of the residual torque"
     since = float(seen.found.t[first.onset * seen.block]) if first.onset else 0.0
     what += f" from {number(since, 's')} on" if since else ""
     kind = " or ".join(each.kind for each in several)
@@ -171,7 +171,7 @@ def at_one_place(seen: Residuals, names: Sequence[str]) -> Finding | None:
         return None
     joint, side = names[best % n], (LINK, MOTOR, JOINT)[best // n]
     what = f"{joint if side == JOINT else f'{side} of {joint}'}: torques of no known kind of fault"
-    said = f"{what} explain {100 * share:.0f} % of the residual torque"
+    said = f"{what} explain {percent(share, 0)} of the residual torque"
     return Finding(UNKNOWN, joint, side, share=share, sentence=said)
 
 
@@ -203,5 +203,5 @@ def unexplained(nearest: FittedFault, share: float, names: Sequence[str]) -> Fin
     """Return the finding that no fault explains the residual torque, of which the nearest one explains a share."""
     sentence = "no single fault explains the residual torque"
     if share >= NEAREST:
-        sentence += f"; the nearest, {nearest.kind} ({nearest.fault.place(names)}), explains {100 * share:.0f} %"
+        sentence += f"; the nearest, {nearest.kind} ({nearest.fault.place(names)}), explains {percent(share, 0)}"
     return Finding(UNKNOWN, "", share=share, sentence=sentence)

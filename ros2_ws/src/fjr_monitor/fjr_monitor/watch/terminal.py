@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fjr_monitor.watch.state import LEVELS, JointLine, NodeHealth, View
-from fjr_msgs_py.console.output import printable
+from fjr_msgs_py.console.output import percent, printable
 
 ERROR_DECADES = (-6.0, 0.0)  # log10 of rad, at an empty and a full bar
 WIDE, NARROW = 118, 80  # characters, for all columns, and for bars
@@ -132,7 +132,7 @@ def _cells(joint: JointLine, error_bar: int, effort_bar: int) -> dict[str, Rende
         ERRORS: Text("" if error is None else log_bar(error, error_bar), style=error_style),
         EFFORT: NOTHING if joint.effort is None else f"{joint.effort:+.3f}",
         EFFORTS: Text(efforts, style=effort_style),
-        SHARE: f"peak {joint.peak:.3g}" if share is None else f"{100 * share:.0f} %",
+        SHARE: f"peak {joint.peak:.3g}" if share is None else percent(share, 0),
     }
 
 

@@ -44,9 +44,7 @@ def finite(value: Any) -> Any:
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [finite(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def printable(text: str) -> str:
@@ -78,10 +76,13 @@ def interval(low: float, high: float) -> str:
 
 
 def percent(fraction: float | None, digits: int = 2) -> str:
-    """Return a fraction in percent, as 99.86 %; a dash for None or a value not finite."""
+    """Return a fraction in percent, as 99.86 %, or > 99.99 % if only 1 reads 100.00 %; a dash as in `number`."""
     if fraction is None or not math.isfinite(fraction):
         return DASH
-    return f"{100 * fraction:.{digits}f} %"
+    text, least = f"{100 * fraction:.{digits}f}", 10.0**-digits
+    if 0 < fraction < 1 and float(text) in (0.0, 100.0):
+        text = f"< {least:.{digits}f}" if fraction < 0.5 else f"> {100 - least:.{digits}f}"
+    return f"{text} %"
 
 
 def milli(value: float | None, unit: str, digits: int = 3) -> str:

@@ -70,9 +70,7 @@ def apply_process_settings(settings: ProcessSettings) -> tuple[str, list[str]]:
 def take_priority(priority: int, inherited: bool = True) -> str:
     """Schedule the threads of this process as SCHED_FIFO at `priority`; 0 leaves the scheduling unchanged.
 
-    Threads that stepped back stay as they are.
-
-    inherited: threads and processes started later inherit the priority.
+    Threads that stepped back stay as they are. inherited: threads and processes started later have the priority, too.
     Return "", or one sentence with the reason of the refusal.
     """
     if priority == 0:
@@ -234,12 +232,11 @@ def use_cores(cores: frozenset[int]) -> str:
         for thread in _threads():
             with suppress(ProcessLookupError):
                 os.sched_setaffinity(thread, cores)
-        used = os.sched_getaffinity(0)
     except AttributeError:
         return "cpu_affinity is refused (this system has no sched_setaffinity): leave it empty"
     except OSError as refused:
-        error, used = f" ({refused})", os.sched_getaffinity(0)
-    if used == cores:
+        error = f" ({refused})"
+    if (used := os.sched_getaffinity(0)) == cores:
         return ""
     return (
         f"cpu_affinity '{_listed(cores)}' is refused{error}: the node may use '{_listed(used)}'; "

@@ -62,6 +62,12 @@
     return value == null ? "–" : `${Number((1e3 * value).toPrecision(3))} ${unit}`;
   }
 
+  function percent(share) {
+    const whole = Math.round(100 * share);
+    const bound = share > 0 && share < 1 ? { 0: "< 1", 100: "> 99" }[whole] : undefined; // only 0 and 1 read 0 and 100
+    return `${bound ?? whole} %`;
+  }
+
   function tabulate() {
     const body = document.getElementById("joints");
     body.replaceChildren();
@@ -74,7 +80,7 @@
       element("td", row, thousandths(joint.error, small));
       element("td", row, written(joint.effort, force, 2));
       const share = joint.limit && joint.effort != null ? Math.abs(joint.effort) / joint.limit : null;
-      element("td", row, share == null ? "–" : `${Math.round(100 * share)} %`);
+      element("td", row, share == null ? "–" : percent(share));
     }
   }
 
