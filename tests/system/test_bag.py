@@ -14,6 +14,7 @@ import threading
 import time
 import tracemalloc
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -192,6 +193,23 @@ def test_a_publisher_that_returns_with_a_weaker_qos_is_recorded(node: Node, tmp_
         wait_for(lambda: recorder.matched("/again") == 1, "a publisher")
         second.publish(String(data="again"))
         wait_for(lambda: b"again" in last(recorder, "/again"), "a message")
+
+
+def test_echo_prints_what_a_later_and_weaker_publisher_sends(node: Node) -> None:
+    strong = node.create_publisher(String, "/shared", 10)
+
+    def talk() -> None:
+        wait_for(lambda: strong.get_subscription_count() > 0, "fjr echo")
+        strong.publish(String(data="strong"))
+        weak = node.create_publisher(String, "/shared", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
+        wait_for(lambda: weak.get_subscription_count() > 0, "fjr echo")
+        weak.publish(String(data="weak"))
+
+    with ThreadPoolExecutor() as thread:
+        talking = thread.submit(talk)
+        said = fjr_here("echo", "/shared", "--count", "2", "--timeout", "20")
+        talking.result()
+    assert [each["data"] for each in yaml.safe_load_all(said.rstrip().removesuffix("---"))] == ["strong", "weak"]
 
 
 def test_a_topic_faster_than_the_disk_keeps_no_other_waiting(

@@ -282,7 +282,7 @@ class Recorder:
 
     def _subscribe(self, topic: str, type_name: str, publishers: list[TopicEndpointInfo]) -> None:
         try:
-            subscription = self._subscription(interface_class(type_name), topic, publishers)
+            subscription = followed(self.node, interface_class(type_name), topic, publishers)
             digest = str(publishers[0].topic_type_hash)
             digest = digest if digest.startswith("RIHS") else hash_of(type_name)
             offered = [info.qos_profile for info in publishers]
@@ -294,17 +294,21 @@ class Recorder:
 
     def _follow(self, track: Track, publishers: list[TopicEndpointInfo]) -> None:
         """Adapt the subscription to other publishers if their QoS requires it."""
-        track.publishers = publishers
-        wanted, old = adapted_qos(publishers), track.subscription
-        present = old.qos_profile
-        if (wanted.reliability, wanted.durability) != (present.reliability, present.durability):
-            self._drain(track, QUEUE_DEPTH)
-            track.subscription = self._subscription(old.msg_type, old.topic, publishers)
+        self._drain(track, QUEUE_DEPTH)
+        track.publishers, old = publishers, track.subscription
+        track.subscription = followed(self.node, old.msg_type, old.topic, publishers, old)
+        if track.subscription is not old:
             self.node.destroy_subscription(old)
 
-    def _subscription(self, kind: type, topic: str, publishers: list[TopicEndpointInfo]) -> Subscription:
-        """Subscribe without a callback: the recorder's thread empties the queues, no executor calls it."""
-        return self.node.create_subscription(kind, topic, lambda _: None, adapted_qos(publishers), raw=True)
+
+def followed(
+    node: Node, kind: type, topic: str, publishers: list[TopicEndpointInfo], old: Subscription | None = None
+) -> Subscription:
+    """Return a subscription that suits all publishers, the old one if it does; the caller empties its queue, raw."""
+    wanted = adapted_qos(publishers)
+    if old is not None and old.qos_profile == wanted:
+        return old
+    return node.create_subscription(kind, topic, lambda _: None, wanted, raw=True)
 
 
 def adapted_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:

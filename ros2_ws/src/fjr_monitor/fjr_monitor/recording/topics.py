@@ -16,6 +16,7 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from fjr_core.config import ros_yaml
@@ -23,7 +24,7 @@ from fjr_core.errors import FjrError, ParameterError
 from fjr_monitor.recording.bag import bag_folder, in_order, read_bag
 from fjr_monitor.recording.files import BagError, Topic
 from fjr_monitor.recording.message_types import SchemaError, interface_class
-from fjr_monitor.recording.recorder import Recorder, adapted_qos
+from fjr_monitor.recording.recorder import Recorder, followed
 from fjr_monitor.recording.run_folder import FolderError
 from fjr_msgs_py import names
 from fjr_msgs_py.console.ending import stoppable
@@ -88,17 +89,18 @@ def echo(topic: str, count: int | None, timeout: float | None, force: bool, as_j
 
 def _messages(node: Node, topic: str, timeout: float, stop: threading.Event) -> Iterator[Any]:
     """Yield messages as they arrive, once there is a publisher."""
-    subscription = None
+    subscription: Subscription | None = None
     received = time.monotonic()
     notified = False
     while not stop.wait(POLL):
-        publishers = node.get_publishers_info_by_topic(topic)
-        if subscription is None and publishers:
-            kind = interface_class(publishers[0].topic_type)
-            subscription = node.create_subscription(kind, topic, lambda _: None, adapted_qos(publishers))
-        while subscription is not None and (taken := subscription.handle.take_message(kind, False)) is not None:
+        while subscription and (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
             received = time.monotonic()
             yield taken[0]
+        if publishers := node.get_publishers_info_by_topic(topic):
+            old, kind = subscription, interface_class(publishers[0].topic_type)
+            subscription = followed(node, kind, topic, publishers, old)
+            if old not in (None, subscription):
+                node.destroy_subscription(old)
         silent = time.monotonic() - received
         if silent > timeout:
             raise TopicError(

@@ -169,26 +169,25 @@ class FjrWatch:
         self._space = f"{node.get_namespace()}/".lstrip("/")
         own = {name: name.replace("~", controller) for name in (names.TRACKING_ERROR, names.CERTIFICATE, names.EVENTS)}
         self._topics: list[str] = []
+        subscribe = self._subscribe
         self._stamped = [
-            (self._subscribe(JointState, names.JOINT_STATES), watched.sent, self._on_state),
-            (self._subscribe(JointState, names.JOINT_COMMANDS), watched.answered, self._on_command),
+            (subscribe(JointState, names.JOINT_STATES), watched.sent, self._on_state),
+            (subscribe(JointState, names.JOINT_COMMANDS), watched.answered, self._on_command),
         ]
         self._newest = [
-            (
-                self._subscribe(JointState, own[names.TRACKING_ERROR], 1),
-                lambda m: watched.error(_by_name(m, m.position)),
-            ),
-            (self._subscribe(Float64MultiArray, own[names.CERTIFICATE], 1), lambda m: watched.certificate(labelled(m))),
-            (self._subscribe(Float64MultiArray, names.EFFORT_COMMANDS, 1), self._on_efforts),
-            (self._subscribe(String, names.ROBOT_DESCRIPTION, 1, names.LATCHED), lambda m: watched.description(m.data)),
+            (subscribe(JointState, own[names.TRACKING_ERROR], 1), lambda m: watched.error(_by_name(m, m.position))),
+            (subscribe(Float64MultiArray, own[names.CERTIFICATE], 1), lambda m: watched.certificate(labelled(m))),
+            (subscribe(Float64MultiArray, names.EFFORT_COMMANDS, 1), self._on_efforts),
+            (subscribe(String, names.ROBOT_DESCRIPTION, 1, names.LATCHED), lambda m: watched.description(m.data)),
         ]
         self._every = [
-            (self._subscribe(DiagnosticArray, names.DIAGNOSTICS, 100), self._on_diagnostics),
+            (subscribe(DiagnosticArray, names.DIAGNOSTICS, 100), self._on_diagnostics),
             (
-                self._subscribe(DiagnosticStatus, own[names.EVENTS], 100),
+                subscribe(DiagnosticStatus, own[names.EVENTS], 100),
                 lambda m: watched.event(self._now, m.level[0], m.name, m.message),
             ),
         ]
+        self.waited_for = self._stamped[0][0].topic_name, self._every[0][0].topic_name  # states and diagnostics
         self._joints: list[str] = []
         self._named_efforts = False
 
@@ -208,11 +207,6 @@ class FjrWatch:
         for subscription, on_each in self._every:
             for data, _ in drained(subscription):
                 on_each(deserialize_message(data, subscription.msg_type))
-
-    @property
-    def waited_for(self) -> tuple[str, str]:
-        """Return the topics of states and diagnostics."""
-        return self._stamped[0][0].topic_name, self._every[0][0].topic_name
 
     def missing(self) -> list[str]:
         """Return the topics without a publisher; one of the two command topics is enough."""
