@@ -31,7 +31,7 @@ SCANNED_MESSAGES = 1000  # for joint names
 TOGETHER = 8192  # states that are decoded at a time
 AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
 LOST = 0.01  # of the states; more that the recorder lost are noted
-CLOCKS = 500_000  # ns; a larger difference of the clocks of robot and controller is removed
+CLOCKS = 500_000  # ns; delays to the receiver differ by less on one machine
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 END = 2**63 - 1
 Places = NDArray[np.int32]
@@ -182,8 +182,7 @@ class RunSignals:
                     self.counters[status.name] = {pair.key: pair.value for pair in status.values}
             if EVENTS in batch:
                 self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
-        found = ahead[self._commands or STATES] - ahead[STATES]
-        return found if abs(found) > CLOCKS else 0
+        return clock_difference(ahead[STATES], ahead[self._commands or STATES])
 
     def _times(self, topic: str) -> tuple[Times, Times]:
         """Return stamps and send times [ns] of the messages of a topic, by the clock of the states."""
@@ -271,6 +270,12 @@ def _of_stamps(stamp: Times, sent: Times, times: tuple[Times, Times]) -> tuple[P
     place, found = match_stamps(stamp, stamps[inside])
     rows = inside[place]
     return np.where(found, rows, np.int32(-1)), np.where(found, when[rows], -1)
+
+
+def clock_difference(states: int, commands: int) -> int:
+    """Return how far the clock of the commands is ahead [ns], 0 up to CLOCKS, by largest send minus receive times."""
+    ahead = commands - states
+    return ahead if abs(ahead) > CLOCKS else 0
 
 
 def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from fjr_monitor.recording.signals import CLOCKS
+from fjr_monitor.recording.signals import END, clock_difference
 from fjr_msgs_py.names import motor_name
 
 LEVELS = ("ok", "warn", "error", "stale")  # of a diagnostic_msgs/DiagnosticStatus, by number
@@ -19,7 +19,6 @@ HISTORY = 120  # values of V
 EVENTS = 6  # shown
 STALE = 5.0  # s without a diagnostic message
 NANO = 1e-9
-EVER = 2**63  # ns
 Values = Mapping[str, float]
 
 
@@ -109,7 +108,7 @@ class Watched:
         self._last_state: float | None = None
         self._sent: deque[tuple[int, int]] = deque()  # stamp, send time [ns] of states
         self._answered: dict[int, int] = {}  # send time [ns] of the command by the stamp of its state
-        self._ahead = [-EVER, -EVER]  # largest send minus receive times [ns] of states, commands
+        self._ahead = [-END, -END]  # largest send minus receive times [ns] of states, commands
         self._certificate: dict[str, float] | None = None
         self._history: deque[float] = deque(maxlen=HISTORY)
         self._health: dict[str, tuple[float, NodeHealth]] = {}
@@ -136,7 +135,7 @@ class Watched:
             if self._sent and (stamp < self._sent[-1][0] or time < self._sent[-1][1]):  # a reset, or of the clock
                 self._sent.clear()
                 self._answered.clear()
-                self._ahead = [time - received, -EVER]
+                self._ahead = [time - received, -END]
             if not self._sent or stamp > self._sent[-1][0]:
                 self._sent.append((stamp, time))
         while self._sent and self._sent[-1][1] - self._sent[0][1] > WINDOW:
@@ -218,7 +217,7 @@ class Watched:
         if len(self._sent) < 2:
             return None
         sent = np.array([time for _, time in self._sent], dtype=float) * NANO
-        clocks = ahead if abs(ahead := self._ahead[1] - self._ahead[0]) > CLOCKS else 0  # of two machines
+        clocks = clock_difference(*self._ahead)
         latencies = [self._answered[stamp] - clocks - time for stamp, time in self._sent if stamp in self._answered]
         pending = self._sent[-1][0] not in self._answered
         unanswered = len(self._sent) - len(latencies) - pending
