@@ -32,9 +32,10 @@ from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import Topic
 from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run import Recording, RunData
+from fjr_monitor.report import shown as decimation
 from fjr_monitor.report.comparison_page import differences
 from fjr_monitor.report.metrics import Metrics
-from fjr_monitor.report.shown import BUCKETS, Shown, kept_rows
+from fjr_monitor.report.shown import BUCKETS, Shown, arm_replay, kept_rows
 from fjr_msgs_py.scenarios import library
 from fjr_plant.lock_step import START
 from nodes.harness import nanoseconds
@@ -389,6 +390,22 @@ def test_a_run_in_many_parts_has_the_report_of_one_part(
     for values, others in ((shown.states, in_parts.states), (shown.steps, in_parts.steps)):
         for name in values:
             np.testing.assert_allclose(others[name], values[name], rtol=1e-6, atol=1e-9)
+
+
+def test_the_replay_follows_the_length_of_a_run_and_tells_when_it_is_coarse(
+    in_order: Path, model: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    metrics = Metrics(Recording(read_bag(in_order), model, np.inf))
+    seconds = metrics.run.columns.column("t")[-1]
+    for most, frames, said in ((10**6, seconds / 0.005, ""), (20, 20, f"; a position each {seconds / 20:.2g} s")):
+        monkeypatch.setattr(decimation, "FRAMES", 10)
+        monkeypatch.setattr(decimation, "MOST_FRAMES", most)
+        monkeypatch.setattr(decimation, "FRAME", 0.005)
+        found = Shown(metrics)
+        assert len(found.frames["t"]) == pytest.approx(frames, abs=1)
+        replay = arm_replay(found)
+        assert replay is not None
+        assert replay.title.partition(")")[2] == said
 
 
 def test_messages_that_were_received_late_have_their_place_by_the_time_they_were_sent(

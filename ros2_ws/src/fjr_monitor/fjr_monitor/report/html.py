@@ -253,7 +253,6 @@ def write_page(
 ) -> None:
     """Render a template with its values, the plots and the arm, if any; raises AssetError if a library is missing."""
     pool = Pool()
-    packed = [plot.packed(pool) for plot in plots]
-    moved = arm.packed(pool) if arm else None
-    data = {"arrays": pool.arrays, "plots": packed, "arm": moved}
+    data: dict[str, Any] = {"plots": [plot.packed(pool) for plot in plots], "arm": arm.packed(pool) if arm else None}
+    data["arrays"] = pool.arrays
     write_text(path, environment().get_template(template).render(values, title=title, plots=data, arm=arm))

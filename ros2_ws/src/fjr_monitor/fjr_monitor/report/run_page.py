@@ -158,10 +158,7 @@ class RunPlots:
             caption = f"V leaves the bound at {number(found.leaves_bound_at_s, 's')}, at {there} V(0)."
             if self._report.verdict.kind == "holding":
                 held = number(self._data.run.sample_period * 1e3, "ms")
-                caption += (
-                    " The proof assumes continuous time; the controller is sampled: it holds u for "
-                    f"{held}, so V levels off."
-                )
+                caption += f" The proof assumes continuous time; the controller holds u for {held}, so V levels off."
         ranges = {"y_label": "V(t) / V(0)", "y_log": True, "y_range": (floor, None)}
         return Plot("storage", title, caption, self._t, lines, **ranges)  # type: ignore[arg-type]
 
@@ -208,17 +205,14 @@ class RunPlots:
 
     def period(self) -> Plot:
         """Plot the distribution of the time between states."""
-        timing, counts = self._report.timing, self._report.counts
+        counts = self._report.counts
         title = f"{counts.published} of {counts.nominal} states published"
-        found = timing.period_p50_us, timing.period_p99_us, timing.period_max_us
-        return histogram("period", title, found, self._data.run.signals.periods, "time between states [ms]", "c1")
+        return self._histogram("period", title, self._data.run.signals.periods, "time between states [ms]", "c1")
 
     def latency(self) -> Plot:
         """Plot the distribution of the time from state to command."""
-        timing, in_time = self._report.timing, self._report.counts.answered_in_time_fraction
-        title = f"{percent(in_time)} answered before the next state"
-        found = timing.latency_p50_us, timing.latency_p99_us, timing.latency_max_us
-        return histogram("latency", title, found, self._data.run.signals.latencies, "state to command [ms]", "c3")
+        title = f"{percent(self._report.counts.answered_in_time_fraction)} answered before the next state"
+        return self._histogram("latency", title, self._data.run.signals.latencies, "state to command [ms]", "c3")
 
     def timeline(self) -> Plot:
         """Plot the time between states and from state to command over the run."""
@@ -236,14 +230,14 @@ class RunPlots:
     def _per_joint(self, values: Array, width: float = 1.5, step: bool = False) -> list[Line]:
         return [Line(joint, values[:, j], colour(j), width, step=step) for j, joint in enumerate(self._joints)]
 
-
-def histogram(name: str, title: str, found: tuple[float, float, float], times: Times, label: str, shade: str) -> Plot:
-    """Plot a histogram with two log axes that cover all values; found: median, 99 % and largest [us]."""
-    caption = "50 %: {}, 99 %: {}, largest: {}.".format(*(milli(1e-6 * each, "s") for each in found))
-    edges, heights = bins(times)
-    line = Line("states", heights, shade, 1.2, step=True, fill=True)
-    axes = {"x_label": label, "y_label": "states", "x_log": True, "y_log": True, "time": False}
-    return Plot(name, title, caption, edges, [line], y_range=(HALF, None), **axes)  # type: ignore[arg-type]
+    def _histogram(self, name: str, title: str, times: Times, label: str, shade: str) -> Plot:
+        """Plot a histogram with two log axes that cover all values."""
+        found = [getattr(self._report.timing, f"{name}_{which}_us") for which in ("p50", "p99", "max")]
+        caption = "50 %: {}, 99 %: {}, largest: {}.".format(*(milli(1e-6 * each, "s") for each in found))
+        edges, heights = bins(times)
+        line = Line("states", heights, shade, 1.2, step=True, fill=True)
+        axes = {"x_label": label, "y_label": "states", "x_log": True, "y_log": True, "time": False}
+        return Plot(name, title, caption, edges, [line], y_range=(HALF, None), **axes)  # type: ignore[arg-type]
 
 
 def bins(times: Times) -> tuple[Array, Array]:

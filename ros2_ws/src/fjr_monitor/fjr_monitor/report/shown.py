@@ -27,14 +27,15 @@ VISIBLE = 0.3  # rad or m, of the largest deflection as magnified at first
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 STATES = ("t", "q_l", "q_ld", "error", "u", "external_torque", "since", "latency")  # columns that are shown
 STORED, RATES = ("V", "H"), ("measured", "predicted", "least")
-FRAMES = 900  # of the motion of an arm; the page interpolates between them
+FRAMES, MOST_FRAMES = 900, 9000  # of the motion of an arm, at least and at most; the page interpolates between them
+FRAME = 0.04  # s between them, unless these numbers of frames make it shorter or longer
 
 
 class Shown:
     """Signals of a run, decimated: no value of a column of its metrics is above or below those that are kept nearby.
 
     states: STATES, STORED, largest_error and largest_effort. steps: t, at which each step begins, rates of V, powers
-    and energies. frames: the columns at FRAMES instants. deflection (n,): largest |q_m - q_l|, NaN: unknown.
+    and energies. frames: the columns each FRAME. deflection (n,): largest |q_m - q_l|, NaN: unknown.
     rate_error: error of the predicted rate of V relative to the rate, NaN: unknown.
     """
 
@@ -45,7 +46,8 @@ class Shown:
         self.states = columns.at(rows, STATES) | powers.at(rows, STORED)
         self.states["largest_error"] = np.abs(self.states["error"]).max(axis=1)
         self.states["largest_effort"] = np.fmax.reduce(np.abs(self.states["u"]), axis=1)
-        self.frames = columns.at(np.unique(np.linspace(0, len(columns) - 1, FRAMES).astype(int)))
+        count = np.clip(len(columns) * self.run.sample_period / FRAME, FRAMES, MOST_FRAMES).astype(int)
+        self.frames = columns.at(np.unique(np.linspace(0, len(columns) - 1, count).astype(int)))
         bent = [np.fmax.reduce(np.abs(part["q_m"] - part["q_l"])) for part in columns.parts()]
         self.deflection = np.asarray(np.fmax.reduce(bent))
         ends = rows[rows > 0]
@@ -108,6 +110,8 @@ def arm_replay(data: Shown) -> ArmReplay | None:
         joint = int(np.nanargmax(sizes))
         largest = milli(float(sizes[joint]), data.run.units[joint].position)
         title = f"Largest deflection of a spring: {largest} ({joints[joint]})"
+    if (apart := (frames["t"][-1] - frames["t"][0]) / MOST_FRAMES) > FRAME:
+        title = f"{title}; a position each {apart:.2g} s"
     factor = magnification(motor - link)
     arm = scene(description(values), locked_positions(values))
     return ArmReplay(title, arm, joints, frames["t"], link, motor, frames["q_ld"], factor)
