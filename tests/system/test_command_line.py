@@ -64,6 +64,7 @@ REFUSED = [
         2,
         "'' is not an error of payload; expected NAME=VALUE with 0 or a positive number",
     ),
+    ("check paper_k31 --error link_torque=5%", 2, "'5%' is not an error of link_torque; expected NAME=VALUE with 0"),
     ("check paper_k31 --delay 1 --set robust.residual_gain:=[60.0]", 2, "robust.* is enabled; expected a static law"),
     ("check paper_k31 --set publish_rate:=20.0 --set inner_steps:=1", 1, "inner_steps is 1, too few for rk4"),
     ("check paper_k31 --set imperfections.command_delay:=0.008", 1, "is unstable as sampled at 1000 Hz"),

@@ -266,6 +266,11 @@ def test_an_error_under_its_former_name_is_reported(capsys: pytest.CaptureFixtur
     assert "--error link_inertia is deprecated; use link_central_inertia" in capsys.readouterr().err
 
 
+def test_relative_errors_are_given_as_shares_or_in_percent() -> None:
+    assert model_error("link_mass=20%") == model_error("link_mass=0.2")
+    assert model_error("stiffness=10%,0.2,5.5%") == ("stiffness", [0.1, 0.2, 0.055])
+
+
 @pytest.mark.parametrize("prove", [False, pytest.param(None, marks=pytest.mark.full)], ids=["sampled", "proven"])
 def test_delay_and_every_error_enlarge_the_bound(prove: bool | None) -> None:
     assert paper(0.0, prove).position < paper(T, prove).position

@@ -81,7 +81,7 @@ def new(**given: Any) -> Any:
     type=options.model_error,
     metavar="NAME=VALUE",
     multiple=True,
-    help="Bound the tracking error for a robot whose NAME is wrong by up to VALUE, e.g. payload=0.2; may be repeated.",
+    help="Bound the tracking error for a robot whose NAME is wrong by up to VALUE, e.g. payload=20%; may be repeated.",
 )
 @click.option(
     "--prove-error",
@@ -105,8 +105,8 @@ def check(**given: Any) -> Any:
 
     SCENARIO is the name of an installed scenario (see `fjr scenarios`) or a YAML file. With --error, --delay or
     --prove-error a bound of the tracking error along the reference is computed. Relative errors, one number for each
-    joint by itself or a list, as stiffness=0.1,0.2: link_mass, link_central_inertia, stiffness, motor_inertia,
-    link_damping, motor_damping; of all together: gravity, and payload=0.2, one factor of mass and inertia of all links.
+    joint by itself or a list, as stiffness=0.1,20%: link_mass, link_central_inertia, stiffness, motor_inertia,
+    link_damping, motor_damping; of all together: gravity, and payload=20%, one factor of mass and inertia of all links.
     With a unit, payload=1.4kg is a mass at the last link, up to payload_position [m] beside
     imperfections.payload_position; gravity_direction is in rad, link_torque and motor_torque are in N m (N), delay
     (from sample to sample) in samples. stated=2: the errors under robot.deviations, of two standard deviations.

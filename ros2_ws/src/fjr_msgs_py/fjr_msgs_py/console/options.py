@@ -52,8 +52,11 @@ def cores(text: str) -> int:
     return integer("a number of cores", "1 or more, or all", 1, 1024)(text)
 
 
+ABSOLUTE = ("payload_mass", "payload_position", "gravity_direction", "link_torque", "motor_torque", "delay", "stated")
+
+
 def model_error(text: str) -> tuple[str, float | list[float]]:
-    """Convert NAME=VALUE, the largest error of a parameter, or of each joint; payload=1.4kg is payload_mass=1.4."""
+    """Convert NAME=VALUE, the error of a parameter or of each joint; gravity=2% is 0.02, payload=2kg payload_mass=2."""
     name, _, value = text.partition("=")
     if name == "payload" and value.endswith("kg"):
         name, value = "payload_mass", value.removesuffix("kg")
@@ -61,7 +64,8 @@ def model_error(text: str) -> tuple[str, float | list[float]]:
         tell("--error link_inertia is deprecated; use link_central_inertia")
         name = "link_central_inertia"
     convert = number(f"an error of {name}", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)
-    first, *others = map(convert, value.split(","))
+    relative, parts = name not in ABSOLUTE, value.split(",")
+    first, *others = (convert(part[:-1]) / 100 if relative and part[-1:] == "%" else convert(part) for part in parts)
     return name, [first, *others] if others else first
 
 

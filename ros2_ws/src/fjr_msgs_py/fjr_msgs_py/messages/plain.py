@@ -81,9 +81,8 @@ def parameter_message(name: str, kind: int, text: str) -> ParameterMessage:
     Raise ParameterError if the text is not of this type.
     """
     declared = Parameter.Type(kind)
-    value = text if declared == Parameter.Type.STRING else ros_yaml.parse(text)
-    if declared == Parameter.Type.STRING and text[:1] in ("'", '"'):
-        value = ros_yaml.parse(text)
+    bare = declared == Parameter.Type.STRING and text[:1] not in ("'", '"')
+    value = text if bare else ros_yaml.parse(text)
     if declared in FLOATS:
         value = _converted("sequence<double>" if isinstance(value, list) else "double", value)
     try:

@@ -43,8 +43,7 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     for text in assignments:
         name, separator, value = text.partition(":=")
         if not (name and separator):
-            expected = "expected name:=value, e.g. robot.joint_stiffness:=[31.0]"
-            raise ParameterError(f"'{text}' is not an assignment; {expected}")
+            raise ParameterError(f"'{text}' is no assignment; expected name:=value, e.g. robot.joint_stiffness:=[31.0]")
         with prefixed(f"value of '{name}' "):
             values[name.strip()] = ros_yaml.parse(value)
     return values
