@@ -117,6 +117,43 @@ def test_damping_and_friction_of_a_joint_are_said_not_to_be_read(tmp_path: Path)
         assert sum("<dynamics> is not read: enter damping as motor_damping" in note for note in notes) == count
 
 
+ACTING = {
+    "a spring of a joint": ("stiffness of joints", "two", 'stiffness="5" springref="10" axis', ""),
+    "one that hardens only": ("stiffness of joints", "two", 'stiffness="0 3" axis', ""),
+    "damping that grows": ("damping of joints that is not linear", "two", 'damping="0 2" axis', ""),
+    "gravity that is compensated": ("gravcomp of bodies", "two", "axis", ""),
+    "air": ("drag (density, viscosity)", "two", "axis", '<option density="500" viscosity="0.3"/>'),
+}
+
+
+@pytest.mark.parametrize(("says", "joint", "attributes", "more"), ACTING.values(), ids=ACTING)
+def test_what_acts_in_mujoco_beyond_the_rigid_arm_is_said_not_to_be_read(
+    says: str, joint: str, attributes: str, more: str, tmp_path: Path
+) -> None:
+    """Accelerations of MuJoCo are those of the arm without it, and others with it."""
+    plain = body(TWO)
+    text = body(TWO.replace("axis", attributes), more)
+    text = text.replace('name="b"', 'name="b" gravcomp="1"') if "gravcomp" in says else text
+    q, v, found = [0.3, -0.5], [1.0, -2.0], []
+    for mjcf in (plain, text):
+        model = mujoco.MjModel.from_xml_string(mjcf)
+        data = mujoco.MjData(model)
+        data.qpos, data.qvel = q, v
+        mujoco.mj_forward(model, data)
+        found.append(data.qacc.copy())
+    arm = arm_from(plain, tmp_path)
+    rigid = np.linalg.solve(arm.robot.M_l(q), -arm.robot.links.inertial_torque(q, v, v, np.zeros(2)).full().ravel())
+    assert found[0] == pytest.approx(rigid - np.linalg.solve(arm.robot.M_l(q), arm.robot.grad_P_l(q)), rel=1e-9)
+    assert np.abs(found[1] - found[0]).max() > 0.01
+    assert not any("not read" in note for note in arm.notes)
+    assert f"not read, though they act in MuJoCo: {says}" in arm_from(text, tmp_path).notes
+
+
+def test_an_armature_beside_that_of_a_rotor_is_said_not_to_be_read(tmp_path: Path) -> None:
+    notes = arm_from(driven(SPRING).replace('name="two"', 'name="two" armature="0.3"', 1), tmp_path).notes
+    assert "not read, though they act in MuJoCo: armature of two beside that of its rotor" in notes
+
+
 def body(inside: str, more: str = "") -> str:
     """Return an MJCF of two links; inside: of the second one."""
     first = '<joint name="one" axis="0 1 0"/><geom type="sphere" size="0.1" pos="0 0 0.2"/>'

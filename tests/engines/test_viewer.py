@@ -38,7 +38,7 @@ def test_without_a_display_the_viewer_is_refused_before_the_run(monkeypatch: pyt
         monkeypatch.delenv(name, raising=False)
     said = fjr_here("run", "paper_k31", "--viewer", code=1)
     assert said.splitlines() == [
-        "fjr: --viewer needs a display, and DISPLAY is not set; expected a desktop, or --film FILE, which needs none"
+        "fjr: --viewer needs a display, and DISPLAY is not set; expected a desktop, or --film FILE"
     ]
 
 

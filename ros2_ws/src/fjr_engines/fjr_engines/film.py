@@ -37,15 +37,8 @@ WIDTH, HEIGHT = 480, 360  # pixels of a frame
 COLOURS, SPARSE = 64, 3  # of GIF and PNG; each third pixel along each side chooses them
 ENDINGS = (".gif", ".png", ".apng", ".mp4")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-FLAGS = (
-    "--headless=new",
-    "--disable-gpu",
-    "--enable-unsafe-swiftshader",  # WebGL by the processor
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-dev-shm-usage",
-)
+FLAGS = ["--headless=new", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
+FLAGS += ["--disable-component-update", "--disable-dev-shm-usage", "--enable-unsafe-swiftshader"]  # WebGL without a GPU
 BACKENDS = ("egl", "osmesa")  # of MuJoCo's renderer without a display
 
 
@@ -148,5 +141,4 @@ def save(frames: Frames, file: Path) -> None:
         COLOURS, Image.Quantize.FASTOCTREE
     )
     first, *others = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-    kind = "GIF" if file.suffix.lower() == ".gif" else "PNG"
-    first.save(file, kind, save_all=True, append_images=others, duration=round(1e3 * PERIOD), loop=0, optimize=True)
+    first.save(file, save_all=True, append_images=others, duration=round(1e3 * PERIOD), loop=0, optimize=True)

@@ -60,12 +60,10 @@ class MujocoEngine:
         self.data = mujoco.MjData(self.model)
         self._tip = tip_frame(plant.robot.links)
         self._build(plant, [*joints, *(joint + MOTOR for joint in joints)])
-        handle = int(self._program.ffi.cast("intptr_t", self._state))
-        function = self._program.ffi.addressof(self._program.lib, "fjr_mujoco_advance")
+        own, function = self._program.ffi, self._program.ffi.addressof(self._program.lib, "fjr_mujoco_advance")
+        handle, address = (int(own.cast("intptr_t", each)) for each in (self._state, function))
         self.handle = ffi.cast("void*", handle)
-        self.advance = ffi.cast(
-            "int(*)(void*, struct fjr_robot*, int64_t)", int(self._program.ffi.cast("intptr_t", function))
-        )
+        self.advance = ffi.cast("int(*)(void*, struct fjr_robot*, int64_t)", address)
 
     def use(self, imperfections: Imperfections) -> None:
         """Attach the payload; the other imperfections are arguments of each step."""
@@ -117,7 +115,7 @@ def mujoco_program() -> CLibrary:
     wheel, native = Path(mujoco.__file__).parent, files(__package__) / "native"
     robot = files("fjr_plant") / "native" / "robot.h"
     *headers, source = (
-        path.read_text(encoding="utf-8") for path in (robot, native / "mujoco_steps.h", native / "mujoco_steps.c")
+        path.read_text("utf-8") for path in (robot, native / "mujoco_steps.h", native / "mujoco_steps.c")
     )
     options = [f"-I{wheel / 'include'}", f"-L{wheel}", f"-l:libmujoco.so.{mujoco.__version__}", f"-Wl,-rpath,{wheel}"]
     return c_library("fjr_mujoco", "\n".join(headers), source, options=options)

@@ -31,9 +31,7 @@ class ViewerError(FjrError):
 def check() -> None:
     """Raise ViewerError unless a display is there."""
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ViewerError(
-            "--viewer needs a display, and DISPLAY is not set; expected a desktop, or --film FILE, which needs none"
-        )
+        raise ViewerError("--viewer needs a display, and DISPLAY is not set; expected a desktop, or --film FILE")
 
 
 @contextmanager

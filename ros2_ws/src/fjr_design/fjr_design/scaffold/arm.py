@@ -67,8 +67,8 @@ def arm_of(
 ) -> Arm:
     """Return the arm of the named joints, else of a chain by its number from 1, else of the longest chain.
 
-    text: of a URDF that is not written yet. known: `gravity`, and an entry of joint_data.yaml that replaces that of
-    the published data, 0 where a value is not known.
+    text: of a URDF that is not written yet. known: `gravity`, `notes`, and an entry of joint_data.yaml that replaces
+    that of the published data, 0 where a value is not known.
     Joints of the chain's end that carry no inertia are locked. Raises RobotError.
     """
     tree, gravity = read_urdf(text or urdf), (known or {}).get("gravity", Arm.gravity)
@@ -77,6 +77,7 @@ def arm_of(
     rigid, moving, notes = _rigid(text or urdf, tree, chosen, gravity, drop=not joints)
     robot, guesses, source = _with_joint_data(rigid, moving, known or published(moving))
     content = re.sub(r"<!--.*?-->", "", text or read_bytes(urdf).decode(errors="replace"), flags=re.DOTALL)
+    notes += tuple((known or {}).get("notes", ()))
     notes += tuple(note for pattern, note in UNREAD.items() if re.search(pattern, content))
     return Arm(urdf, moving, robot, _locked(tree, moving), guesses, source, found, notes, tuple(gravity))
 

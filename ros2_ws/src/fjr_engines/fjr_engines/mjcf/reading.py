@@ -8,6 +8,7 @@ references of joints: all poses are those at q = 0. In a file of `fjr export-mjc
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -27,6 +28,14 @@ AT_JOINTS = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPAREN
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 JOINTS = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", SLIDE: "prismatic"}
 Element = ElementTree.Element
+UNREAD = {
+    "stiffness of joints": ("jnt_stiffness", "jnt_stiffnesspoly"),
+    "damping of joints that is not linear": ("dof_dampingpoly",),
+    "damping of actuators": ("actuator_damping", "actuator_dampingpoly"),
+    "gravcomp of bodies": ("body_gravcomp",),
+    "drag (density, viscosity)": ("opt.density", "opt.viscosity"),
+}
+"""What moves the arm in MuJoCo, but neither URDF nor joint data hold, by fields of its model."""
 
 
 def read_mjcf(file: Path, folder: Path) -> tuple[str, dict[str, Any]]:
@@ -55,6 +64,9 @@ def read_mjcf(file: Path, folder: Path) -> tuple[str, dict[str, Any]]:
         "joint_stiffness": [springs.get(name, 0.0) for name in drives],
         "gravity": [0.0] * 3 if weightless else model.opt.gravity.tolist(),
     }
+    unread = [what for what, names in UNREAD.items() if any(np.any(attrgetter(name)(model)) for name in names)]
+    unread += [f"armature of {name} beside that of its rotor" for name in springs if model.joint(name).armature]
+    known["notes"] = [f"not read, though they act in MuJoCo: {', '.join(unread)}"] if unread else []
     meshes = [path_from(folder, Path(spec.modelfiledir, spec.meshdir, each.file)) for each in spec.meshes]
     return urdf(model, drives, spec.modelname or file.stem, meshes), known
 
@@ -78,7 +90,7 @@ def springs_of(model: mujoco.MjModel) -> dict[str, float]:
         fixed = parts[model.wrap_type[parts] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
         ends = {model.joint(model.wrap_objid[part]).name: model.wrap_prm[part] for part in fixed}
         joint = name.removesuffix(SPRING)
-        more = model.tendon_damping[tendon], *model.tendon_lengthspring[tendon]
+        more = *model.tendon_stiffnesspoly[tendon], model.tendon_damping[tendon], *model.tendon_lengthspring[tendon]
         if ends != {joint: -1.0, joint + MOTOR: 1.0} or any(more):
             raise RobotError(f"'{name}' is a tendon; expected joints without tendons, or the springs of our export")
         springs[joint] = float(model.tendon_stiffness[tendon])
@@ -88,8 +100,8 @@ def springs_of(model: mujoco.MjModel) -> dict[str, float]:
 def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
     """Return whether a tendon exerts a force, by itself or by an actuator."""
     moves = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON), 0]
-    forces = ("stiffness", "damping", "frictionloss", "armature", "limited")
-    return tendon in moves or any(getattr(model, f"tendon_{force}")[tendon] for force in forces)
+    forces = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "frictionloss", "armature", "limited")
+    return tendon in moves or any(np.any(getattr(model, f"tendon_{force}")[tendon]) for force in forces)
 
 
 def effort_limit(model: mujoco.MjModel, joint: str) -> float:
