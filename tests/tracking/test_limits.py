@@ -108,6 +108,16 @@ def test_after_a_jump_of_the_stamps_the_rate_counts_for_the_timeout_at_most_and_
     np.testing.assert_allclose(send(tracker, [1e3], 10**18), 1.0)
 
 
+def test_the_effort_of_a_latched_stop_keeps_its_rate_and_that_of_a_shutdown_does_not() -> None:
+    tracker = passing(effort_rate=1000.0, motor_velocity=5.0)
+    for stamp in range(11):
+        send(tracker, [10.0], stamp * MS)
+    sent = [tracker.command(sample(k * MS, 10.0, 10.0, 0.0, 9.0), k * MS).u[0] for k in (11, 12, 14)]
+    assert tracker.state is State.STOPPED
+    assert sent == pytest.approx([9.0, 8.0, 6.0])
+    assert tracker.stop_effort() == pytest.approx([0.0])
+
+
 def test_tighter_effort_limits_hold_at_once() -> None:
     tracker = passing()
     assert send(tracker, [5.0], 0) == 5.0
