@@ -89,6 +89,19 @@ def test_wrong_parameter_is_isolated_with_its_size(
     assert finding.sentence in found.sentence
 
 
+@pytest.mark.parametrize("alone", [True, False], ids=["diagonal alone", "row and column"])
+def test_a_softer_joint_of_a_coupled_stiffness_has_its_size(alone: bool) -> None:
+    stiff = np.array([[40.0, 12.0], [12.0, 25.0]])
+    softer = stiff * (np.array([[1.0, 1.0], [1.0, 0.88]]) if alone else np.array([[1.0, 0.88], [0.88, 0.88]]))
+    model, real = (fjr.planar_two_link(stiffness=K) for K in (stiff, softer))
+    law = fjr.TrackingLaw(model, fjr.synthesize(model, 8.0, PERIOD))
+    reference = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
+    seen = recorded(law, reference, np.zeros(8), round(DURATION / PERIOD), real)
+    (finding,) = diagnose(seen, law, axes=AXES).findings
+    assert (finding.kind, finding.joint) == ("stiffness", "elbow")
+    assert finding.size == pytest.approx(-12.0, rel=0.05)
+
+
 @pytest.mark.parametrize(("change", "named"), [(0.05, True), (-0.05, False)])
 def test_friction_that_would_add_energy_is_not_named(change: float, named: bool) -> None:
     """The motors of the model have a damping of 0.01 N m s/rad."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -99,12 +100,16 @@ def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypot
 
 
 def _of_spring(seen: Residuals, j: int) -> Iterator[Hypothesis]:
-    """Return stiffness and backlash: torques on the link with their reactions on the motor."""
-    n, k = seen.robot.n, seen.robot.K[j, j]
-    zeta = seen.q[:, n + j] - seen.q[:, j]
-    bent = springs.torques(seen.robot, seen.q[:, n:] - seen.q[:, :n])[:, j] / k if seen.robot.curve else zeta
+    """Return stiffness, of the joint alone and with its couplings, and backlash: torques with opposite reactions."""
+    n, K = seen.robot.n, seen.robot.K
+    k, made = K[j, j], (seen.q[:, n:] - seen.q[:, :n])[:, j, None] * K[:, j]
+    zeta, row = made[:, j] / k, springs.torques(seen.robot, seen.q[:, n:] - seen.q[:, :n])[:, j]
+    bent = row / k if seen.robot.curve else zeta
     linear = seen.placed({j: bent, n + j: -bent})
     yield Hypothesis("stiffness", j, JOINT, "%", linear, lambda fitted: 100 * float(fitted[0]) / k)
+    made[:, j] = row
+    coupled = seen.placed(dict(enumerate(np.hstack([made, -made]).T)))
+    yield Hypothesis("stiffness", j, JOINT, "%", coupled, lambda fitted: 100 * float(fitted[0]))
     yield Hypothesis("cubic stiffness", j, JOINT, "N m/rad^3", seen.placed({j: zeta**3, n + j: -(zeta**3)}))
     for half in FREEPLAYS * np.sqrt(np.mean(zeta**2)):
         torque = -np.clip(zeta, -half, half) * k
@@ -166,17 +171,12 @@ def _point_mass(A: Array, c: Array) -> Array:
     target = (vectors[:, kept].T @ (c / scale)) / np.sqrt(values[kept]) / scale
     begins = ([m, *r] for m in (0.1, -0.1) for r in ((0.1, 0.0, 0.0), (0.0, 0.1, 0.1)))
     bounds = [-np.inf, *[-LONGEST_ARM] * 3], [np.inf, *[LONGEST_ARM] * 3]
-    tried = [
-        least_squares(
-            lambda x: root @ _of_point_mass(x)[0] - target,
-            begin,
-            lambda x: root @ _of_point_mass(x)[1],
-            bounds,
-            x_scale="jac",
-            max_nfev=STEPS,
-        )
-        for begin in begins
-    ]
+    options: dict[str, Any] = {"bounds": bounds, "x_scale": "jac", "max_nfev": STEPS}
+
+    def misses(x: Array) -> Array:
+        return np.asarray(root @ _of_point_mass(x)[0] - target)
+
+    tried = [least_squares(misses, begin, lambda x: root @ _of_point_mass(x)[1], **options) for begin in begins]
     return _of_point_mass(min(tried, key=lambda each: float(each.cost)).x)[0]
 
 
