@@ -152,7 +152,9 @@ def read(draws: Draws, i: int) -> tuple[MotionRecord, NominalRobot]:
         Path(folder, "robot.yaml").write_text(text, encoding="utf-8")
         nominal = nominal_robot(Path(folder, "robot.yaml"))
     unmeasured = np.full_like(samples.u, np.nan)
-    record, _ = record_of_samples("physics", nominal.joints, samples.t, samples.q_l, samples.q_m, samples.u, unmeasured)
+    record, _ = record_of_samples(
+        "physics", nominal.joints, samples.t, [samples.q_l, samples.q_m, samples.u, unmeasured]
+    )
     return record, nominal
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import gzip
 import json
 import math
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -41,6 +42,7 @@ from system.shared_runs import shared_run
 pytestmark = pytest.mark.system
 EXAMPLE = ROOT / "examples/kr300"
 AXES = ("a1", "a2", "a3", "a4", "a5", "a6")
+TIMED = ("/joint_states", "/joint_commands")
 
 
 @pytest.fixture(scope="module")
@@ -240,6 +242,44 @@ def test_bag_of_a_run_gives_the_states_and_the_efforts_that_answer_them(
     assert record.u[:90] == pytest.approx(np.asarray(ideal.u)[:90], abs=1e-6)
     assert np.isnan(record.torque).all()
     assert notes == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "held"),
+    [
+        ("time: {column: t}\neffort: {column: u}\nlink_position: {column: q}\ncontrol_period: 0.001\n", 1e-3),
+        ("bag: {control_period: 0.001}\n", 1e-3),
+        ("bag: {}\n", 1.0),
+    ],
+)
+def test_a_mapping_file_tells_the_period_of_a_controller_faster_than_the_log(
+    text: str, held: float, tmp_path: Path
+) -> None:
+    file = tmp_path / "map.yaml"
+    file.write_text(text.replace("u}", "u, unit: N m}").replace("q}", "q, unit: rad}"))
+    assert read_map(file, ("a1",)).held == held  # [s]; longer than any sample if it is not given
+
+
+def test_of_a_bag_of_each_fifth_state_the_efforts_are_those_of_the_middle_of_a_sample(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    """The controller changes them between the states of the bag, as the scenario of the run tells."""
+    run = shared_run(tmp_path_factory, "two_link")
+    scenario = load_scenario(run / "scenario.yaml")
+    whole, _ = read_record(run, scenario.joints, scenario.robot, Reading())
+    shutil.copy(run / "scenario.yaml", tmp_path)
+
+    def each_fifth(topic: str, message: Any) -> Any:
+        return None if topic in TIMED and nanoseconds(message) // 1_000_000 % 5 else message
+
+    bag = rewritten(run / "bag", tmp_path / "bag", topics=TIMED, change=each_fifth)
+    record, notes = read_record(bag, scenario.joints, scenario.robot, Reading())
+    assert record.dt == pytest.approx(5e-3)
+    assert [note.rpartition(": ")[0].rpartition(": ")[2] for note in notes] == ["efforts change each 1 ms"]
+    first = int(np.argmin(np.sum(np.abs(whole.q_m - record.q_m[0]), axis=1)))
+    middle = whole.u[first + 2 :: 5][: len(record.u)]
+    settled = slice(100, len(middle) - 1)  # the first efforts change too quickly
+    assert record.u[settled] == pytest.approx(middle[settled], abs=1e-3 * np.ptp(whole.u))
 
 
 def test_other_storage_and_commands_without_stamps_give_the_same_positions(

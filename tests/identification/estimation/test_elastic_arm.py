@@ -35,7 +35,7 @@ from fjr_identification.estimation.parameters import (
     Prior,
     size,
 )
-from fjr_identification.estimation.shooting import HeldEffort, Shooting
+from fjr_identification.estimation.shooting import HeldEffort, Shooting, behind
 from fjr_identification.robot_file import with_inertias
 
 FREE = (
@@ -150,7 +150,7 @@ def test_efforts_behind_a_lag_have_its_gain_and_phase(lag: float) -> None:
         u = np.exp(s * dt * np.arange(samples))
         lags = np.array([lag / dt]).tobytes()
         efforts = (held(np.ascontiguousarray(part)[:, None], dt, 1) for part in (u.real, u.imag))
-        real, imaginary = (effort.behind(*shooting.library, lags)[:, -1, 0] for effort in efforts)
+        real, imaginary = (behind(effort, *shooting.library, lags)[:, -1, 0] for effort in efforts)
         found = complex(real[0], imaginary[0]) / u[-1]
         early = (np.sqrt(1 + 4 * (lag / dt) ** 2) - 1) / 2 * dt  # by which the delay is shorter
         third = abs(s * lag) ** 2 * abs(s) * max(lag, dt) / 3

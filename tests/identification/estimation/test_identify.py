@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
-from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, multi_sine, usual_record
+from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, integrated, multi_sine, usual_record
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate, Identification
 from fjr_identification.estimation.identify import identify
-from fjr_identification.estimation.motion_record import MotionRecord
+from fjr_identification.estimation.motion_record import MotionRecord, record_of_samples
 from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.estimation.verdicts import inflation
@@ -82,6 +82,26 @@ def test_all_parameters_of_a_joint_are_found_within_their_intervals() -> None:
         assert estimate.verdict == IDENTIFIED, name
     assert found["joint_stiffness"].value == pytest.approx(31.0, rel=1e-3)
     assert found["motor_inertia"].value == pytest.approx(0.004, rel=1e-3)
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_a_log_slower_than_the_controller_gives_stiffness_inertia_and_delay(every: int) -> None:
+    """The effort changes each millisecond and is logged each second or fifth time; without `held` it acts too early."""
+    dt, robot = 1e-3, robot_like(ElasticJoint())
+    u = multi_sine(np.arange(6000) * dt, np.array([0.3, 0.8, 2.1, 5.3, 9.7, 17.0]), 0.35, 1)
+    sides = [side[::every, None] for side in integrated(ElasticJoint(), u, dt)]
+    q_l, q_m = sides + NOISE * np.random.default_rng(11).standard_normal((2, len(sides[0]), 1))
+    t, nothing = every * dt * np.arange(len(q_l)), np.full_like(q_l, np.nan)
+    found = {}
+    for held in (dt, np.inf):
+        record, notes = record_of_samples("a log", ("joint1",), t, [q_l, q_m, u[::every, None], nothing], held)
+        assert len(notes) == (held == dt)
+        found[held] = {each.name: each for each in identify([record], robot, Prior.of(robot)).estimates}
+    for name, true in {"joint_stiffness": 31.0, "motor_inertia": 0.004, "effort_delay": 2.6e-3}.items():
+        estimate, plain = (found[held][name] for held in (dt, np.inf))
+        assert abs(estimate.value - true) < 3 * (estimate.high - estimate.low) / 3.92, name
+        assert plain.high < true, name
+    assert found[np.inf]["effort_delay"].value == pytest.approx(2.6e-3 - (every - 1) / 2 * dt, abs=1e-5)
 
 
 HARD = ElasticJoint(cubic=31.0 / 0.02**2)  # twice the torque of a straight spring at 20 mrad

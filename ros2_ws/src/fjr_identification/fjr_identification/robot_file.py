@@ -163,6 +163,11 @@ class IdentifiedRobot:
         except (GainsError, TrajectoryError) as error:
             reason = str(error)
         tree = ros_yaml.tree_of({key: _value(value) for key, value in values.items() if key != "joints"})["robot"]
+        placed = {*MATRICES, HARDENING, *FRICTION, STRIBECK, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay", LAG}
+        known = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
+        others = [
+            described(estimate) for estimate in known if estimate.name not in placed
+        ]  # of no scenario's parameter
         found = PackageLoader("fjr_identification")
         templates = Environment(loader=found, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
         text = templates.get_template("robot.yaml").render(
@@ -173,7 +178,7 @@ class IdentifiedRobot:
             joints=_value(values["joints"]),
             robot=tree,
             imperfections=self._imperfections(robot),
-            others=self._left_out(),
+            others=others,
             tracking=tracking,
         )
         return RobotFile(text, reason)
@@ -201,9 +206,8 @@ class IdentifiedRobot:
 
     def _imperfections(self, robot: Robot) -> list[tuple[Sequence[str], dict[str, str]]]:
         """Return friction, payload and delay of the simulated arm: what was identified, and the values that follow."""
-        levels = self._levels
         found: list[tuple[Sequence[str], dict[str, str]]]
-        found = [([name], {name: _numbers(levels[field])}) for name, field in FRICTION.items() if self._of(name)]
+        found = [([name], {name: _numbers(self._levels[field])}) for name, field in FRICTION.items() if self._of(name)]
         if self._of(STRIBECK):
             falling = _numbers(self._of_joints(STRIBECK, USUAL_STRIBECK))
             found.append(([STRIBECK], {f"{side}_stribeck_velocity": falling for side in ("link", "motor")}))
@@ -231,12 +235,6 @@ class IdentifiedRobot:
         rate = friction_rate(unit, robot.M_l(rest), robot.M_m, largest_load(robot, rest))
         least = rate / (RATE * STABLE_STEP * MOST_STEPS / MARGIN)
         return np.maximum(self._of_joints(SMOOTHING, self.nominal.smoothing), least)
-
-    def _left_out(self) -> list[str]:
-        """Return the estimates that no parameter of a scenario expresses, in words."""
-        placed = {*MATRICES, HARDENING, *FRICTION, STRIBECK, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay", LAG}
-        estimates = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
-        return [described(estimate) for estimate in estimates if estimate.name not in placed]
 
     def _tracking(self, robot: Robot, proposal: Proposal) -> dict[str, object]:
         """Return the values of the loop; integrator steps per sample as springs and friction need them."""

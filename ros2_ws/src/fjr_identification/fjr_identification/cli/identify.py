@@ -76,8 +76,7 @@ def identify(
     values = {**identification.as_dict(), **inputs}
     file = _write(output, nominal, identification, motions, compared, values)
     paths = [output / name for name in (ROBOT, VALUES, PAGE)]
-    sensors = ["", "what the records lack:", *lacks] if lacks else []
-    lines = [*table(identification), *sensors]
+    lines = [*table(identification), *(["", "what the records lack:", *lacks] if lacks else [])]
     for held in compared:
         lines += ["", f"hold-out {held.record}: share of the deflection that a model leaves unexplained"]
         lines += aligned([("unexplained", *HOLD_OUT[1:]), *hold_out_rows(held)])
@@ -168,8 +167,7 @@ def table(identification: Identification) -> list[str]:
         headline,
         "",
         *aligned(cells),
-        *([""] if springs_seen(identification) else []),
-        *springs_seen(identification),
+        *(["", *seen] if (seen := springs_seen(identification)) else []),
         *(line for head, found in why if found for line in ("", head, *(f"{of}: {one}" for one, of in found.items()))),
     ]
 
@@ -185,6 +183,5 @@ def unconfirmed(compared: Sequence[HoldOut]) -> list[str]:
                 f"hold-out {held.record}: the deflection of {joints} is predicted better by rigid joints or no skew; "
                 "the record does not confirm these stiffnesses"
             )
-    for sentence in sentences:
-        tell(sentence)
+            tell(sentences[-1])
     return sentences

@@ -84,8 +84,7 @@ class MotionRecord:
     @property
     def driven(self) -> list[int]:
         """Return the joints that move under an effort that changes."""
-        changes = np.ptp(self.u, axis=0) > 0
-        return [j for j, joint in enumerate(self.joints) if joint not in self.still and changes[j]]
+        return [j for j, joint in enumerate(self.joints) if joint not in self.still and np.ptp(self.u[:, j]) > 0]
 
     def both_sides(self, j: int) -> bool:
         """Return whether link and motor of joint j are measured."""
@@ -115,8 +114,7 @@ def on_uniform_grid(name: str, t: Array, held: Array, sampled: Array) -> tuple[f
     if missing == 0 and jitter <= JITTER * dt:
         return dt, held, sampled, ()
     grid = t[0] + dt * np.arange(index[-1] + 1)
-    off = f"samples are up to {jitter * 1e3:.2g} ms off this grid, {missing} are missing"
-    note = f"interpolated to {dt * 1e3:.6g} ms: {off}"
+    note = f"interpolated to {dt * 1e3:.6g} ms: samples are up to {jitter * 1e3:.2g} ms off it, {missing} are missing"
     at_grid, measured = np.full((len(grid), sampled.shape[1]), np.nan), np.isfinite(sampled).all(axis=0)
     if measured.any():
         at_grid[:, measured] = CubicSpline(t, sampled[:, measured])(grid)
@@ -169,22 +167,28 @@ def _means(t: Array, values: Array, grid: Array, dt: float) -> Array:
     return np.asarray(np.diff(integral, axis=0) / dt)
 
 
+def held_longer(u: Array, share: float) -> Array:
+    """Return efforts (k, n) that, held for a sample, act as those at its begin that change after a share of it do.
+
+    Those act earlier by (1 - share) / 2 samples, and a longer hold smooths more: exact to second order in its length.
+    """
+    spline, at = CubicSpline(np.arange(len(u)), u), np.arange(len(u)) + (1 - share) / 2
+    return np.asarray(spline(at) - (1 - share**2) / 24 * spline(at, 2))
+
+
 def record_of_samples(
-    name: str,
-    joints: tuple[str, ...],
-    t: Array,
-    q_l: Array,
-    q_m: Array,
-    u: Array,
-    torque: Array,
-    *,
-    notes: Sequence[str] = (),
+    name: str, joints: tuple[str, ...], t: Array, signals: list[Array], held: float = np.inf, notes: Sequence[str] = ()
 ) -> tuple[MotionRecord, tuple[str, ...]]:
     """Return the record on a uniform grid that samples at t (k,) [s] make, and notes on what was substituted.
 
-    q_l, q_m, u, torque: as in MotionRecord. notes: on the samples. Raises RecordError.
+    signals: q_l, q_m, u, torque as in MotionRecord. held [s]: how long the controller holds an effort, if shorter than
+    a sample. notes: on the samples. Raises RecordError.
     """
+    q_l, q_m, u, torque = signals
     dt, effort, sampled, on_grid = on_uniform_grid(name, t, u, np.hstack([q_l, q_m, torque]))
+    if held * LOST < dt:
+        effort = held_longer(effort, held / dt)
+        on_grid += (f"efforts change each {held * 1e3:.6g} ms: interpolated between samples",)
     record = MotionRecord(name, joints, dt, effort, *np.hsplit(sampled, 3))
     return record, tuple(f"{name}: {note}" for note in (*notes, *on_grid))
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -41,18 +41,6 @@ class HeldEffort:
     parts: int
     mobility: Array
     accuracy: Array
-    _behind: dict[bytes, Array] = field(default_factory=dict, init=False)
-
-    def behind(self, ffi: Any, lib: Any, lag: bytes) -> Array:
-        """Return efforts behind lags (n,) [samples] and their derivatives by the squares, (2, k, n); keep them."""
-        found = self._behind.get(lag)
-        if found is None:
-            found = np.empty((2, *self.u.shape))
-            u, lags, out = (ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(self.u), lag, found))
-            lib.fjr_behind(u, lags, len(self.u), out)
-            self._behind.clear()
-            self._behind[lag] = found
-        return found
 
     def steps(self, p: Mapping[str, Array]) -> dict[str, Array] | None:
         """Return what shooting.h limits steps by, (2n,) each; None: friction is too steep. p: parameters by name.
@@ -79,13 +67,22 @@ class HeldEffort:
         if steps is None:
             return None
         delay, lag = p["effort_delay"] / self.dt, p[LAG] / self.dt
-        u, du = self.behind(ffi, lib, lag.tobytes())
+        u, du = behind(self, ffi, lib, lag.tobytes())
         values: dict[str, Any] = {
             name: ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
             for name, array in {"u": u, "du": du, "delay": delay, "lag": lag, **steps}.items()
         }
         values |= {"parts": self.parts, "count": len(self.u), "first": first, "dt": self.dt}
         return ffi.new("struct fjr_input *", values), values
+
+
+@lru_cache(maxsize=8)  # records of a fit: all segments of one need the same
+def behind(effort: HeldEffort, ffi: Any, lib: Any, lag: bytes) -> Array:
+    """Return efforts behind lags (n,) [samples] and their derivatives by the squares, (2, k, n)."""
+    found = np.empty((2, *effort.u.shape))
+    u, lags, out = (ffi.from_buffer("double[]", each) for each in (np.ascontiguousarray(effort.u), lag, found))
+    lib.fjr_behind(u, lags, len(effort.u), out)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,7 +109,8 @@ def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot
     if scenario.joints != joints:
         raise RecordError(f"{path} was recorded with the joints {scenario.joints}; expected {joints}, as the robot")
     measured = scenario.measurement
-    return record_map.BagMap(np.asarray(measured.gear_ratio, dtype=float), by_torque=measured.by_torque)
+    ratio = np.asarray(measured.gear_ratio, dtype=float)
+    return record_map.BagMap(ratio, by_torque=measured.by_torque, held=scenario.sample_period)
 
 
 def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collection[str]) -> tuple[str, ...]:
@@ -151,7 +152,7 @@ def record_of_table(
     for name, columns in mapping.signals.items():
         for joint, column in columns.items():
             signals[name][:, joints.index(joint)] = column.factor * values[:, names.index(column.name)]
-    return record_of_samples(path.name, joints, values[:, 0], *signals.values())
+    return record_of_samples(path.name, joints, values[:, 0], list(signals.values()), mapping.held)
 
 
 def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:
@@ -188,10 +189,9 @@ def _check_finite(path: Path, names: list[str], block: Array, before: int) -> No
     wrong = np.argwhere(~np.isfinite(block))
     if len(wrong):
         row, column = wrong[0]
-        count = len(np.unique(wrong[:, 0]))
         raise RecordError(
             f"{path}, row {before + row + 1}, column {names[column]}: {block[row, column]}; expected a finite number "
-            f"({count} such rows from there on)"
+            f"({len(np.unique(wrong[:, 0]))} such rows from there on)"
         )
 
 
@@ -227,15 +227,14 @@ def record_of_bag(
     begin, end = int(driven[0]), int(driven[-1]) + 1
     kept = begin + np.flatnonzero(np.append(True, np.diff(stamps[begin:end]) != 0))  # a waiting plant repeats its state
     u = u[kept]
-    answered = np.isfinite(u).all(axis=1)
-    u = u[np.maximum.accumulate(np.where(answered, np.arange(len(u)), 0))]  # the last command holds
+    u = u[np.maximum.accumulate(np.where(np.isfinite(u).all(axis=1), np.arange(len(u)), 0))]  # the last command holds
     t = (stamps[kept] - stamps[kept[0]]) * 1e-9
     table = window.of(t, np.column_stack([t, q_l[kept], q_m[kept], u, tau[kept]]))
     if not len(table):
         raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
-    q_l, q_m, u, tau = (table[:, 1 + i * n : 1 + (i + 1) * n] for i in range(4))
+    q_l, q_m, u, tau = signals = np.split(table[:, 1:], 4, axis=1)
     _check_complete(path, {"positions of the links": q_l, "positions of the motors": q_m, "joint torques": tau}, joints)
-    return record_of_samples(path.name, joints, table[:, 0], q_l, q_m, u, tau, notes=notes)
+    return record_of_samples(path.name, joints, table[:, 0], signals, mapping.held, notes)
 
 
 def _messages(bag: Bag, columns: Mapping[str, Sequence[str]], window: TimeWindow) -> dict[str, Rows]:

@@ -43,8 +43,8 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LINK, MOTOR, EFFORT, TORQUE = "link_position", "motor_position", "effort", "joint_torque"
 UNITS = {LINK: ANGLES, MOTOR: ANGLES, EFFORT: TORQUES, TORQUE: TORQUES}
 KEYS = ("column", "unit", "joints", "gear_ratio", "sign")
-BY_COMMANDS, BY_STATES = "commands", "states"
-BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, list), "effort": (str,)}
+BY_COMMANDS, BY_STATES, HELD = "commands", "states", "control_period"
+BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, list), "effort": (str,), HELD: (float,)}
 
 PARQUET = ".parquet"
 HEADER_LINES = 1000  # empty lines and comments before the header, at most
@@ -75,11 +75,12 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class TableMap:
-    """Columns of a table: time, and by signal and joint."""
+    """Columns of a table: time, and by signal and joint. held [s]: how long the controller holds an effort."""
 
     time: TableColumn
     signals: Mapping[str, Mapping[str, TableColumn]]
     delimiter: str = ","
+    held: float = math.inf
 
     @property
     def columns(self) -> list[str]:
@@ -94,13 +95,14 @@ class BagMap:
 
     namespace: of the topics. by_torque: the link's effort is a torque sensor and there is no motor position.
     gear_ratio (n,): motor angle in the messages per turn of q_m. effort: from the commands or from the states' motors;
-    "": from the commands if there are any.
+    "": from the commands if there are any. held [s]: how long the controller holds an effort, inf: not known.
     """
 
     gear_ratio: Array
     namespace: str = ""
     by_torque: bool = False
     effort: str = ""
+    held: float = math.inf
 
 
 def read_map(path: Path, joints: Sequence[str]) -> TableMap | BagMap:
@@ -125,13 +127,14 @@ def _bag(document: Mapping[Any, Any], n: int) -> BagMap:
         raise ParameterError(f"bag.effort is {effort!r}; expected {BY_COMMANDS} or {BY_STATES}")
     namespace = str(given.get("namespace", "")).strip("/")
     ratio = _numbers("bag.gear_ratio", given.get("gear_ratio", 1.0), n)
-    return BagMap(ratio, f"/{namespace}" if namespace else "", motor == "torque", effort)
+    (held,) = np.abs(_numbers(f"bag.{HELD}", given.get(HELD, 1.0), 1))
+    return BagMap(ratio, f"/{namespace}" if namespace else "", motor == "torque", effort, float(held))
 
 
 def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
-    unknown = [key for key in document if key not in ("time", "delimiter", *UNITS)]
+    unknown = [key for key in document if key not in ("time", "delimiter", HELD, *UNITS)]
     if unknown:
-        raise ParameterError(f"holds '{unknown[0]}'; expected time, {', '.join(UNITS)}, delimiter or bag")
+        raise ParameterError(f"holds '{unknown[0]}'; expected time, {', '.join(UNITS)}, delimiter, {HELD} or bag")
     if "time" not in document or EFFORT not in document:
         raise ParameterError(f"has no '{'effort' if 'time' in document else 'time'}'; expected its column and unit")
     time = _entry("time", document["time"], ("column", "unit"))
@@ -147,7 +150,8 @@ def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
     delimiter = document.get("delimiter", ",")
     if not isinstance(delimiter, str) or len(delimiter) != 1:
         raise ParameterError(f"delimiter is {delimiter!r}; expected one character")
-    return TableMap(TableColumn(time["column"], float(scale)), signals, delimiter)
+    (held,) = np.abs(_numbers(HELD, document.get(HELD, 1.0), 1))
+    return TableMap(TableColumn(time["column"], float(scale)), signals, delimiter, float(held))
 
 
 def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, TableColumn]:
