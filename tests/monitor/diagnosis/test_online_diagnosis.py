@@ -56,6 +56,30 @@ def test_wrong_plant_parameter_is_a_model_mismatch() -> None:
     assert [verdict.causes for verdict in run(2.0, stiffness=22.0)] == [("model mismatch",)] * 2
 
 
+def test_states_that_wait_for_a_paused_controller_are_a_delay() -> None:
+    """Each 0.1 s it answers none for 25 ms, then all at once; in between each within half a sample."""
+    plant, x = fjr.Plant(LAW.robot), LAW.robot.state(0.5, 0.5, 0.0, 0.0)
+    certified, axes = Certified(LAW), JointTolerances(("joint1",), ("rad",), np.array([1e-3]))
+    running = OnlineDiagnosis(LAW, (np.array([np.inf]), np.inf), certified, axes)
+    waiting, acting = [], np.zeros(1)
+    for k, usual in enumerate(np.random.default_rng(7).uniform(0.15e-3, 0.5e-3, 2000)):
+        velocity, jets = np.concatenate(LAW.robot.velocities(x)), REFERENCE.jets(k * PERIOD)
+        u, _ = LAW.measured_command(x[:2], velocity, jets)
+        paused = max(0, 25 - (k - 20) % 100) if k >= 20 else 0
+        latency = paused * PERIOD or usual
+        certified.take(k * 1_000_000, x[:2], velocity, jets, u, latency=latency)
+        waiting.append(u)
+        if k:
+            running.look(BETA)
+        if paused != 1 and paused:
+            x = plant.step(x, acting, PERIOD)
+            continue
+        x = plant.step(x, acting, min(latency, PERIOD))
+        acting, waiting = waiting[-1], []
+        x = plant.step(x, acting, PERIOD - latency) if latency < PERIOD else x
+    assert running.verdict().causes == ("delay",)
+
+
 @pytest.mark.parametrize("offset", [0, 5_000_000_000, -5_000_000_000])
 def test_latency_does_not_depend_on_the_clock_offset(offset: int) -> None:
     latency, delays = Latency(), [120_000, 100_000, 250_000, 100_000]

@@ -71,8 +71,9 @@ def storage_budget(found: Innovations, acted: Acting, robot: Robot, beta: float,
     lost = lost + unanswered + np.where(gap, np.maximum(excess, 0.0), 0.0)
     excess = np.where(gap, 0.0, excess)
     mismatch, uncertain = _persistent(found, acted, usual, robot)
+    by_queue = np.where(_sums(queued(found)) > 0, mismatch, 0.0)
     unsure = _gain(found, (found.older - found.sent) * (UNSURE * (found.latency > 0))[:, None], robot)
-    causes = np.stack([mismatch, _sums(saturation + cut), _sums(late), _sums(lost)], axis=1)
+    causes = np.stack([mismatch - by_queue, _sums(saturation + cut), _sums(late) + by_queue, _sums(lost)], axis=1)
     return StorageBudget(
         causes=causes,
         hold=_sums(np.maximum(excess, 0.0)),
@@ -86,6 +87,12 @@ def foreign(found: Innovations) -> NDArray[np.bool_]:
     """Return in which intervals (k,) the effort sent is neither that of the law nor at a limit."""
     same = SAME_EFFORT * (1.0 + np.abs(found.law).max(axis=1, initial=0.0)[:, None])
     return np.asarray(((np.abs(found.sent - found.law) > same) & ~found.limited).any(axis=1) & found.answered)
+
+
+def queued(found: Innovations) -> NDArray[np.bool_]:
+    """Return in which intervals (k,) it is unknown which effort acted: its command came a sample late, as few do."""
+    late = found.latency >= 1.0
+    return np.asarray(late & (2 * np.count_nonzero(late) < len(late)))
 
 
 def state_change(found: Innovations, effort: Array, robot: Robot) -> Array:
@@ -262,5 +269,6 @@ def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float)
     outdated = (found.law - np.vstack([found.law[1:], found.law[-1:]])) * share[:, None]  # mean over what a gap missed
     loss = acted.lost + other * ~answered + outdated
     mismatch = found.error - state_change(found, acted.cut + acted.late + acted.lost + foreseen(found), robot)
-    efforts = (state_change(found, effort, robot) for effort in (saturation, acted.late, loss))
-    return np.stack([mismatch, *efforts], axis=2)
+    cut, late, lost = (state_change(found, effort, robot) for effort in (saturation, acted.late, loss))
+    by_queue = mismatch * queued(found)[:, None]
+    return np.stack([mismatch - by_queue, cut, late + by_queue, lost], axis=2)

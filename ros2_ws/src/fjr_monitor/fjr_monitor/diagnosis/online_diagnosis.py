@@ -18,16 +18,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import CLibrary, record_type
-from fjr_monitor.diagnosis.causes import (
-    EMPTY,
-    CauseErrors,
-    CausePropagation,
-    StorageBudget,
-    closed_loop,
-    growth,
-    rises,
-    storage_budget,
-)
+from fjr_monitor.diagnosis import causes
 from fjr_monitor.diagnosis.delay_estimation import ActingSums, EffortDelay, effort_delay
 from fjr_monitor.diagnosis.record import Innovations, limited
 from fjr_monitor.diagnosis.verdict import BlockStatistics, Diagnosis, unknown
@@ -113,7 +104,7 @@ class OnlineDiagnosis:
         """Start without blocks; axes: None: JointTolerances.plain."""
         self._law, self._limits, self._intervals = law, limits, intervals
         self._axes = axes or JointTolerances.plain(law.robot.n)
-        self._blocks: deque[tuple[StorageBudget, CauseErrors, Array]] = deque()
+        self._blocks: deque[tuple[causes.StorageBudget, causes.CauseErrors, Array]] = deque()
         self._age = EffortDelay()
         self.beta = np.inf
         self.forget()
@@ -127,7 +118,7 @@ class OnlineDiagnosis:
         """Discard all blocks and estimates."""
         self._blocks.clear()
         self._new, self._period, self._change, self._lowest = 0, 0.0, 0.0, np.inf
-        self._propagation = CausePropagation(self._law.robot)
+        self._propagation = causes.CausePropagation(self._law.robot)
 
     def look(self, beta: float, count: int = 1) -> None:
         """Process `count` more intervals; beta [1/s]: guaranteed rate of V."""
@@ -147,12 +138,12 @@ class OnlineDiagnosis:
             self._period, self._change = _usual(seen.dt), FORGETTING * self._change
             if not seen.latency.any():
                 self._age = effort_delay([seen], self._law.robot)
-            self._propagation.loops = EMPTY  # linearise again at the current reference
+            self._propagation.loops = causes.EMPTY  # linearise again at the current reference
             judged = BlockStatistics(float(np.exp(-2 * self.beta * BLOCK * self._period)), self._axes)
             for budget, made, _ in self._blocks:
                 judged.add(budget, made)
             risen = np.hstack([each for _, _, each in self._blocks])
-            grown = growth(risen, judged.floor(self._axes.storage(self._law)))
+            grown = causes.growth(risen, judged.floor(self._axes.storage(self._law)))
             age = float((self._age.whole + self._age.fraction + np.median(seen.latency)) * np.median(seen.dt))
             return judged.conclude(grown, {"effort age": age, "beta": self.beta, "last V": float(seen.V1[-1])})
 
@@ -172,7 +163,7 @@ class OnlineDiagnosis:
         while sum(len(made[0].hold) for made in self._blocks) - len(self._blocks[0][0].hold) >= BLOCKS:
             self._blocks.popleft()
 
-    def _latest_blocks(self, size: int) -> tuple[StorageBudget, CauseErrors, Array]:
+    def _latest_blocks(self, size: int) -> tuple[causes.StorageBudget, causes.CauseErrors, Array]:
         """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
         seen = self._intervals.last(size + OLDEST, self._new)
         seen = replace(seen, limited=limited(seen.sent, seen.older, seen.dt, *self._limits))
@@ -181,11 +172,11 @@ class OnlineDiagnosis:
         if not self._period:
             self._period = _usual(found.dt)
         if not len(self._propagation.loops):
-            self._propagation.loops = closed_loop(self._law, self._intervals.jets[None, 0], self._period)
-        risen = rises(seen, self._lowest)[:, -size:]
+            self._propagation.loops = causes.closed_loop(self._law, self._intervals.jets[None, 0], self._period)
+        risen = causes.rises(seen, self._lowest)[:, -size:]
         self._lowest = float(risen[1, -1])
         made = self._propagation.errors(found, acted, self._period)
-        return storage_budget(found, acted, self._law.robot, self.beta, self._period), made, risen
+        return causes.storage_budget(found, acted, self._law.robot, self.beta, self._period), made, risen
 
 
 def _usual(dt: Array) -> float:
