@@ -71,7 +71,7 @@ def storage_budget(found: Innovations, acted: Acting, robot: Robot, beta: float,
     lost = lost + unanswered + np.where(gap, np.maximum(excess, 0.0), 0.0)
     excess = np.where(gap, 0.0, excess)
     mismatch, uncertain = _persistent(found, acted, usual, robot)
-    by_queue = np.where(_sums(queued(found)) > 0, mismatch, 0.0)
+    by_queue = np.where(_sums(queued(found).astype(float)) > 0, mismatch, 0.0)
     unsure = _gain(found, (found.older - found.sent) * (UNSURE * (found.latency > 0))[:, None], robot)
     causes = np.stack([mismatch - by_queue, _sums(saturation + cut), _sums(late) + by_queue, _sums(lost)], axis=1)
     return StorageBudget(
