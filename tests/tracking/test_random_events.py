@@ -42,6 +42,7 @@ class Model:
     rng: np.random.Generator
     now: int = SECOND
     arrival: int = SECOND
+    heard: tuple[int, int] | None = None  # stamp and arrival of the last accepted state
     q: Array = field(default_factory=lambda: np.full(2, 0.1))
     latched: bool = False
     acting: bool = False
@@ -61,7 +62,16 @@ class Model:
             if self.acting and np.isfinite(q).all():
                 assert stopped or given.on_contact != STOP, "tracks in contact"
                 assert stopped or bool(tracker.controller.supervisor.yielding) == (given.on_contact == YIELD)
+            if np.isfinite(q).all():
+                self.check_gap(self.now + later, stopped)
         self.latched = stopped and not tracker.controller.supervisor.resuming
+
+    def check_gap(self, stamp: int, stopped: bool) -> None:
+        """Check that no state moves the arm after a gap longer than the longest."""
+        longest = self.tracker.settings.recovery_longest_gap * SECOND
+        if self.heard is not None and self.heard[0] != stamp and longest and self.arrival - self.heard[1] > longest:
+            assert stopped, "moves after a long gap"
+        self.heard = stamp, self.arrival
 
     def wait(self, seconds: float) -> None:
         self.now += round(seconds * SECOND)
@@ -103,6 +113,7 @@ class Model:
             getattr(tracker, event)()
         self.latched &= event not in ("resume", "start")
         self.acting &= event != "start"
+        self.heard = None if event == "start" else self.heard
 
 
 @pytest.mark.parametrize("observed", [False, True], ids=["measured", "observed"])
@@ -114,6 +125,7 @@ def test_whatever_happens_the_supervisor_is_as_its_model(seed: int, observed: bo
         ramp_time=rng.choice([0.0, 0.05]),
         start_join_time=rng.choice([0.0, 0.3]),
         recovery_join_time=rng.choice([0.0, 0.3]),
+        recovery_longest_gap=rng.choice([0.0, 0.2]),
         start_error=rng.choice([np.inf, 0.2]),
         on_stop=rng.choice([ZERO, GRAVITY_HOLD]),
         on_contact=rng.choice(REACTIONS),

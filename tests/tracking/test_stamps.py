@@ -213,6 +213,37 @@ def test_a_stop_after_a_gap_names_the_gap() -> None:
     assert tracker.reason.endswith("; 0.002 s before, a gap of 0.3 s without states had ended")
 
 
+@pytest.mark.parametrize(("stamp", "arrival"), [("later", "later"), ("earlier", "later"), ("later", "now")])
+@pytest.mark.parametrize("longest", [0.0, 2.0])
+def test_after_a_gap_of_the_arrivals_above_the_longest_the_arm_waits_for_a_resume(
+    longest: float, stamp: str, arrival: str
+) -> None:
+    """Somebody may have reached for it; stamps that jump are no gap, and 0 is no limit."""
+    tracker = running(recovery_longest_gap=longest)
+    last = SECOND + 200 * MS
+    stamps = {"later": last + 3 * SECOND, "earlier": MS}[stamp]
+    arrivals = LATENCY + {"later": last + 3 * SECOND, "now": last + MS}[arrival]
+    commands = [tracker.command(sample(stamps + k * MS, 0.5, 0.5), arrivals + k * MS) for k in range(3)]
+    stops = longest > 0 and arrival == "later"
+    assert (commands[-1].state is State.STOPPED) == stops == tracker.counters["stops: silence"]
+    if stops:
+        assert tracker.reason == (
+            "stopped: no new valid state for 3 s; expected at most 2 s (recovery.longest_gap), or ~/resume"
+        )
+        tracker.resume()
+        again = tracker.command(sample(stamps + 3 * MS, 0.5, 0.5), arrivals + 3 * MS)
+        assert again.state is State.JOINING
+
+
+def test_a_resume_during_a_long_gap_does_not_move_the_arm_after_it() -> None:
+    tracker, last = running(link_position_upper=1.0, recovery_longest_gap=2.0), SECOND + 200 * MS
+    tracker.command(sample(last + MS, 1.5, 1.5), last + MS + LATENCY)
+    tracker.resume()
+    later = last + 3 * SECOND
+    assert tracker.command(sample(later, 0.5, 0.5), later + LATENCY).state is State.STOPPED
+    assert tracker.counters["stops: silence"] == 1
+
+
 def test_outside_names_the_limit_that_keeps_a_stopped_controller_stopped() -> None:
     tracker = running(link_position_upper=1.0)
     stamp = SECOND + 201 * MS

@@ -16,7 +16,7 @@ NEVER = -(2**63)  # FJR_NEVER: no stamp
 
 STOPS, STARTS_REFUSED = "stops", "starts refused"
 """Kinds of the events that end tracking."""
-CONTACTS, POSITION_JUMP, NO_MOTION = "contacts", "position jump", "no motion"
+CONTACTS, POSITION_JUMP, NO_MOTION, SILENCE = "contacts", "position jump", "no motion", "silence"
 LIMITED = {
     "link position": ("q_l", "position"),
     "motor position": ("q_m", "position"),
@@ -43,7 +43,7 @@ KINDS = (
     "recoveries",
     STARTS_REFUSED,
     STOPS,
-    *(f"stops: {cause}" for cause in ("wiring", *LIMITED, "law")),
+    *(f"stops: {cause}" for cause in ("wiring", *LIMITED, SILENCE, "law")),
     "resumes",
     "efforts not finite",
     "efforts saturated",
@@ -211,6 +211,9 @@ class Journal:
                 f"expected at most {found.limit:.6g} {unit}, or a start.join_time above 0"
             ), values
         cause = KINDS[found.detail].removeprefix("stops: ")
+        if cause == SILENCE:
+            expected = f"expected at most {found.limit:g} s (recovery.longest_gap), or ~/resume"
+            return f"stopped: no new valid state for {found.value:.3g} s; {expected}", values
         if cause == "wiring":
             fault = Finding.of_wiring(self._step.controller.journal.wiring, settings.joints)
             sentence = fault.sentence if fault is not None else cause

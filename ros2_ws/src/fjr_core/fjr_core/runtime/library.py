@@ -102,7 +102,7 @@ def settings_struct(library: CLibrary, settings: Settings, law: SampledLaw) -> A
     }
     for name, array in arrays.items():
         setattr(struct, name, np.ravel(array).tolist())
-    for name in ("ramp_time", "start_join_time", "recovery_join_time", "hold_deceleration"):
+    for name in ("ramp_time", "start_join_time", "recovery_join_time", "recovery_longest_gap", "hold_deceleration"):
         setattr(struct, name, getattr(settings, name))
     struct.state_timeout = round(settings.state_timeout * 1e9)
     struct.gravity_hold = settings.on_stop == GRAVITY_HOLD

@@ -111,6 +111,11 @@ class Settings:
         "Least duration of the transition after a stop, a gap of the states or a change of the reference; 0: none",
         name="recovery.join_time",
     )
+    recovery_longest_gap: float = _duration(
+        5.0,
+        "Longest gap of the states after which the arm recovers by itself; a longer one in real time stops it; 0: none",
+        name="recovery.longest_gap",
+    )
     hold_deceleration: float = parameter_field(
         2.0,
         "Mean deceleration to standstill on ~/hold",

@@ -129,6 +129,7 @@ int fjr_step(const struct fjr_model* m, struct fjr_controller* c, const struct f
   if (order == FJR_NEXT || order == FJR_REPEATED) check_change(c, stamp, stamp - c->stamps.last);
   stop_miswired(c, stamp);
   stop_unmoved(m, c, stamp);
+  if (!m->simulated) stop_after_gap(c, order, stamp, arrival);
   heed_contact(c, stamp);
   watch_wiring(m, c, order, stamp);
   if (!attempt(m, c, order, stamp, command)) return not_finite(m, c, stamp, command);

@@ -71,8 +71,8 @@ struct fjr_settings {
   double lower[6 * FJR_N], upper[6 * FJR_N]; /* of q_l, q_m, dq_l, dq_m, q_m - q_l, q_l - q_ld */
   double start_error[FJR_N];                 /* rad */
   int64_t state_timeout;
-  double ramp_time, start_join_time, recovery_join_time; /* s */
-  double acceleration[FJR_N], hold_deceleration;         /* rad/s^2 */
+  double ramp_time, start_join_time, recovery_join_time, recovery_longest_gap; /* s */
+  double acceleration[FJR_N], hold_deceleration; /* rad/s^2 */
   int32_t gravity_hold;                                  /* stop policy: 1 gravity compensation, 0 no effort */
   int32_t on_contact;                                    /* an enum fjr_reaction */
   int32_t wiring_check;                                  /* needs `dynamics` of the model, and no observer */
@@ -137,7 +137,7 @@ enum fjr_kind {
   FJR_OBSERVER_RESTARTS, FJR_RECOVERIES, FJR_STARTS_REFUSED, FJR_STOPS, FJR_STOPS_WIRING, FJR_STOPS_LINK_POSITION,
   FJR_STOPS_MOTOR_POSITION, FJR_STOPS_LINK_VELOCITY, FJR_STOPS_MOTOR_VELOCITY, FJR_STOPS_DEFLECTION,
   FJR_STOPS_TRACKING_ERROR, FJR_STOPS_POSITION_JUMP, FJR_STOPS_CONTACT, FJR_STOPS_NO_MOTION,
-  FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
+  FJR_STOPS_SILENCE, FJR_STOPS_LAW, FJR_RESUMES, FJR_EFFORTS_NOT_FINITE, FJR_EFFORTS_SATURATED,
   FJR_EFFORTS_RATE_LIMITED, FJR_GAINS_CHANGED, FJR_SETTINGS_CHANGED, FJR_REFERENCES_CHANGED, FJR_HOLDS, FJR_CONTACTS,
   FJR_KINDS
 };

@@ -6,9 +6,10 @@
  * if |q_l - q_ld| exceeds limits.start_error.
  * Recovery (after a gap of the samples, or a resume): transition of the reference from the measured state over
  * recovery.join_time or longer, and blend of the effort over BLEND of that time. The clock of the reference continues.
+ * After a gap longer than recovery.longest_gap in real time: stop, as somebody may have reached for the arm.
  * Contact: report it, stop, or yield (gravity compensation, damped motors) until it has ended, then recover.
  * Jump back of the stamps: start again with the reference of the last start; hold the position after a requested one.
- * Stop: at a violated limit, or where the law failed, latched until a resume. Outside the limits nothing is started or
+ * Stop: at a violated limit, after a long gap, or where the law failed, latched until a resume. Outside the limits nothing is started or
  * resumed. Until the velocities of an observer that was reset have settled, their limits and that of the tracking error
  * are not checked. The functions that return int return 0 if there is no transition to the reference.
  */
@@ -116,6 +117,15 @@ static int resume(struct fjr_controller* c, int64_t stamp) {
   s->starting = s->starting && c->settings.recovery_join_time == 0;
   if (s->starting) begin(c, stamp);
   return s->settling == 0;
+}
+
+/* Stop after a long gap of the arrivals that ends at this sample, also where a resume was requested before it. */
+static void stop_after_gap(struct fjr_controller* c, enum fjr_order order, int64_t stamp, int64_t arrival) {
+  const double gap = (double)(arrival - c->stamps.arrival) * 1e-9, longest = c->settings.recovery_longest_gap;
+  const struct fjr_event event = {FJR_STOPS, FJR_STOPS_SILENCE, NONE, 0, stamp, gap, longest};
+  const int stays = c->supervisor.stopped && !c->supervisor.resuming;
+  if (order == FJR_FIRST || order == FJR_REPEATED || stays) return;
+  if (longest > 0 && gap > longest) stop(c, FJR_STOPS_SILENCE, event);
 }
 
 /* Report a contact when it begins and react to it, also where a stop is about to end; when it has ended, recover from
