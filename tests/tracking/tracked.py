@@ -7,9 +7,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 import fjr_core as fjr
+from fjr_core.numerics.symbolic import NumericFunction
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.control_step import Command, ControlStep
 from fjr_core.runtime.library import constant
@@ -35,12 +37,21 @@ def settings(n: int = 1, **given: Any) -> Settings:
     return replace(Settings(tuple(f"joint{i + 1}" for i in range(n))), **given)
 
 
+def motion_of_a_period(robot: fjr.Robot) -> NumericFunction:
+    """Return the state a PERIOD after x under u, in four steps, as one function of x and u."""
+    x, u = ca.MX.sym("x", 4 * robot.n), ca.MX.sym("u", robot.n)
+    step, after = fjr.Plant(robot).step_function, x
+    for _ in range(4):
+        after = step(after, u, PERIOD * 1e-9 / 4)
+    return NumericFunction(ca.Function("period", [x, u], [after]))
+
+
 class Loop:
     """A plant and a tracker of the same robot, with a record of both; the arrival clock is that of the stamps."""
 
     def __init__(self, law: fjr.TrackingLaw, reference: fjr.Reference, given: Settings, x0: Any, **more: Any) -> None:
         self.tracker = ControlStep(law, reference, given, **more)
-        self.robot, self.plant = law.robot, fjr.Plant(law.robot)
+        self.robot, self._after_a_period = law.robot, motion_of_a_period(law.robot)
         self.x = np.asarray(x0, dtype=float)
         self.now = 10**9
         self.u = np.zeros(law.robot.n)
@@ -60,8 +71,7 @@ class Loop:
             self.commands.append(command)
         self.efforts.append(self.u)
         self.states.append(self.x)
-        for _ in range(4):
-            self.x = self.plant.step(self.x, self.u, PERIOD * 1e-9 / 4)
+        (self.x,) = self._after_a_period(self.x, self.u)
         self.now += PERIOD
         return command
 

@@ -99,7 +99,7 @@ tables = st.lists(st.lists(cells, max_size=5).map(",".join), max_size=6).map("\n
 
 
 @given(st.one_of(tables, st.text(max_size=80)))
-@fuzzed(120)
+@fuzzed(60)
 def test_any_text_is_read_or_refused_in_a_sentence(text: str) -> None:
     answer(lambda: parse_motion(text, JOINTS))
     answer(lambda: parse_motion(f"time,a,b\n{text}", JOINTS))

@@ -19,12 +19,10 @@ FAILS = 1e-4
 """Residual that a printed equation exceeds; that of the corrected one is below 1e-10."""
 
 
-CASES = [(single(31.0), linear(1)), (single(3.1), linear(1)), (planar("31", 31.0), linear(2))]
-CASES += [(planar("full", **FULL), full())]
-cases = pytest.mark.parametrize(("arm", "gains"), CASES, ids=["single-31", "single-3.1", "planar-31", "planar-full"])
+CASES = [(single(31.0), linear(1)), (planar("full", **FULL), full())]
 
 
-@cases
+@pytest.mark.parametrize(("arm", "gains"), CASES, ids=["single-31", "planar-full"])
 @pytest.mark.parametrize("same", [True, False], ids=["same", "apart"])
 def test_exact_rate_of_the_storage_detects_the_printed_coupling(arm: Arm, gains: GainSet, same: bool) -> None:
     """The law of tests/core/law/test_law.py, with (40) as printed and with x_v = x and x_v != x."""

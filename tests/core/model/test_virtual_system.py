@@ -85,7 +85,7 @@ def errors_of_virtual_solutions(arm: Arm, gains: GainSet, duration: float) -> tu
 )
 def test_every_virtual_solution_converges_to_the_actual_one(arm: Arm, gains: GainSet) -> None:
     """Theorem 2."""
-    at_start, at_end, error = errors_of_virtual_solutions(arm, gains, 4.0)
+    at_start, at_end, error = errors_of_virtual_solutions(arm, gains, 2.5)
     assert np.min(at_start) > 0.1
     assert np.max(at_end) < 1e-6
     assert error > 1e-3

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
 from functools import cache
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from core.oracles.cases import LOOPS, Arm, GainSet, random_point
 from core.oracles.chains import arm7, scaled_gains
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.fused_code import LONGEST, fused
-from time_limits import HANG
+from program_cache import built
 
 INPUTS = 6
 COMPILERS = [name for name in ("cc", "clang") if shutil.which(name)]
@@ -62,11 +61,10 @@ def generated(function: ca.Function) -> str:
 
 def compiled(code: str, folder: Path, *command: str) -> ca.Function:
     """Return the function `program` of a C code."""
-    source, built = folder / "code.c", folder / f"{len(list(folder.iterdir()))}.so"
+    source, library = folder / "code.c", folder / f"{len(list(folder.iterdir()))}.so"
     source.write_text(code)
-    options = ("-std=gnu99", "-ffp-contract=off", "-fPIC", "-shared")
-    subprocess.run([*command, *options, "-o", built, source, "-lm"], check=True, timeout=HANG)
-    return ca.external("program", str(built))
+    built(command, [source], library, "-std=gnu99", "-ffp-contract=off", "-fPIC", "-shared")
+    return ca.external("program", str(library))
 
 
 def results(function: ca.Function, arguments: Array) -> Array:

@@ -101,7 +101,7 @@ def test_nothing_is_proven_for_an_indefinite_or_a_wide_matrix() -> None:
     assert least_eigenvalue(Interval(np.eye(2), np.full((2, 2), 0.6)), one) == -np.inf
 
 
-@pytest.mark.parametrize("condition", [1e8, 1e10, 1e12])
+@pytest.mark.parametrize("condition", [1e8, 1e12])
 def test_rate_of_coupled_gains_is_not_above_the_exact_one(condition: float) -> None:
     """Of Pi_l with this condition number, eigenvalues in floating point are up to 1e-5 too large."""
     for angle in np.linspace(0.2, 1.3, 12):
@@ -119,7 +119,7 @@ def test_rate_of_coupled_gains_is_not_above_the_exact_one(condition: float) -> N
             assert rate.beta_l <= least * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("condition", [1e6, 1e9, 1e12])
+@pytest.mark.parametrize("condition", [1e6, 1e12])
 def test_rate_of_coupled_damping_is_not_above_the_exact_one_at_any_position(condition: float) -> None:
     """Of K_ld with this condition number, eigenvalues in floating point are up to 1e-4 too large."""
     arm = fjr.planar_two_link()

@@ -65,8 +65,8 @@ def test_each_function_is_built_once(
 
 
 def test_concurrent_processes_build_once(tmp_path: Path) -> None:
-    processes = [started(CUBES, CC=str(logging_compiler(tmp_path))) for _ in range(4)]
-    assert [output(process).strip() for process in processes] == [COMPILED] * 4
+    processes = [started(CUBES, CC=str(logging_compiler(tmp_path))) for _ in range(3)]
+    assert [output(process).strip() for process in processes] == [COMPILED] * 3
     assert (tmp_path / "builds").read_text().split() == ["built"]
 
 
@@ -195,10 +195,11 @@ def test_robots_that_differ_in_one_parameter_have_other_fingerprints() -> None:
 
 STEP = declarations(text(HEADER), {"FJR_N": 3, "FJR_MEMORY": 2})
 STRUCTS = ("controller", "model", "settings", "sample", "command", "reference")
-READ = """
+POINTS = "struct point { double x, y; };"
+READ = f"""
 import sys
-from fjr_core.numerics.jit import declarations, ffi_of
-assert ffi_of("struct point { double x, y; };").sizeof("struct point") == 16
+from fjr_core.numerics.jit import ffi_of
+assert ffi_of("{POINTS}").sizeof("struct point") == 16
 print("pycparser" in sys.modules)
 """
 
@@ -213,8 +214,10 @@ def layout(ffi: FFI) -> dict[str, object]:
     return {**fields, "kinds": ffi.typeof("enum fjr_kind").elements}
 
 
-def test_second_process_does_not_parse() -> None:
-    assert [output(started(READ)).strip() for _ in range(2)] == ["True", "False"]
+def test_a_later_process_does_not_parse() -> None:
+    assert ffi_of(POINTS).sizeof("struct point") == 16
+    assert "pycparser" in sys.modules
+    assert output(started(READ)).strip() == "False"
 
 
 def test_kept_types_are_those_that_cffi_parses_and_changed_code_is_not_executed(cache: Path) -> None:

@@ -188,15 +188,15 @@ FALL = FREE.state([0.4, -0.25], [0.4, -0.25], [0, 0], [0, 0])
 
 
 def test_implicit_midpoint_conserves_the_energy_of_a_free_robot() -> None:
-    """Over 30 s at 1 ms the energy stays within 1e-6 of its initial value and does not drift."""
+    """Over 10 s at 1 ms the energy stays within 1e-6 of its initial value and does not drift."""
     plant, x, u, H = fjr.Plant(FREE, "implicit_midpoint"), FALL, np.zeros(2), []
-    for _ in range(30_000):
+    for _ in range(10_000):
         H.append(FREE.hamiltonian(x))
         x = plant.step(x, u, 1e-3)
     H = np.array(H) / H[0]
     assert np.max(np.abs(H - 1)) <= 1e-6
     wobble = np.max(H) - np.min(H)
-    assert abs(np.mean(H[-5000:]) - np.mean(H[:5000])) <= 0.05 * wobble
+    assert abs(np.mean(H[-2000:]) - np.mean(H[:2000])) <= 0.05 * wobble
     assert abs(np.polyfit(np.linspace(0, 1, len(H)), H, 1)[0]) <= 0.05 * wobble
 
 

@@ -28,7 +28,7 @@ from fjr_design.studies.compare_run import tuned_law
 from fjr_design.studies.suite import LawChoice
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
-DRAWS = 36
+DRAWS = 24
 BASELINES = [*LAWS]
 MARGIN = 3e-3  # draws with a radius this close to 1 are repeated: a short run cannot decide them
 START, FAR, NOTHING = 1e-7, 1e-3, 1e-12  # rad: initial error, error of a diverging loop, rounding
@@ -164,7 +164,7 @@ def test_check_and_simulation_agree_on_random_draws() -> None:
         samples = int(np.clip(8 / abs(np.log(radius)), 100, 3000))
         assert converges(loop, samples) == (radius < 1), (radius, loop)
         stable, unstable = stable + (radius < 1), unstable + (radius > 1)
-    assert min(stable, unstable) >= 12, (stable, unstable)
+    assert min(stable, unstable) >= 6, (stable, unstable)
 
 
 @pytest.mark.parametrize("by_torque", [False, True])
@@ -196,8 +196,8 @@ def test_margin_with_integral_action_holds_where_the_arm_is_lightest(bandwidth: 
     sensing, T = Sensing(bandwidth), 1e-3
     margin = fjr.check(law, T, sensing=sensing, lowest_rate=False).delay_margin
     folded = Loop(law, scenario.robot, np.array([2.16, -3.06]), T, 0.0, sensing)
-    assert converges(replace(folded, delay=round((margin - 0.05) * T, 6)), 4000)
-    assert not converges(replace(folded, delay=round((margin + 0.15) * T, 6)), 4000)
+    assert converges(replace(folded, delay=round((margin - 0.05) * T, 6)), 2000)
+    assert not converges(replace(folded, delay=round((margin + 0.15) * T, 6)), 2000)
 
 
 def test_margin_with_the_velocity_observer_holds_at_all_configurations() -> None:
@@ -233,16 +233,20 @@ def test_the_docs_have_a_row_for_each_paper_joint_and_the_two_link_arm() -> None
     assert [name for name, _ in ROWS] == ["paper_k3p1", "paper_k31", "two_link"]
 
 
-@pytest.mark.parametrize(("stiffness", "rate"), [(3.1, 40.0), (31.0, 46.9), (31.0, 50.0)])
-def test_integral_gain_above_its_bound_is_refused_with_the_bound(stiffness: float, rate: float) -> None:
+@pytest.mark.parametrize(("stiffness", "rates"), [(3.1, [40.0]), (31.0, [46.9, 50.0])])
+def test_integral_gain_above_its_bound_is_refused_with_the_bound(stiffness: float, rates: list[float]) -> None:
     """The nonlinear loop converges at the rate named, and not at one that is 3 % larger."""
     law = fjr.TrackingLaw(fjr.single_link(stiffness=stiffness), fjr.PAPER_GAINS)
     refuse_fast_integral(law, Robust(integral_gain=20.0).checked(1))
-    with pytest.raises(fjr.GainsError, match=rf"integral_gain is \[{rate}\] 1/s, .* expected at most \[") as refusal:
-        refuse_fast_integral(law, Robust(integral_gain=rate).checked(1))
-    named = float(str(refusal.value).rpartition("[")[2].partition("]")[0])
-    worst = max(sample_configurations(law.robot, 3), key=lambda q_l: integrating(law, named, q_l).radius)
-    assert [converges(integrating(law, factor * named, worst), 12_000) for factor in (1.0, 1.03)] == [True, False]
+    named = []
+    for rate in rates:
+        words = rf"integral_gain is \[{rate}\] 1/s, .* expected at most \["
+        with pytest.raises(fjr.GainsError, match=words) as refusal:
+            refuse_fast_integral(law, Robust(integral_gain=rate).checked(1))
+        named.append(float(str(refusal.value).rpartition("[")[2].partition("]")[0]))
+    worst = max(sample_configurations(law.robot, 3), key=lambda q_l: integrating(law, max(named), q_l).radius)
+    assert converges(integrating(law, max(named), worst), 4000)
+    assert not converges(integrating(law, 1.03 * min(named), worst), 4000)
 
 
 def integrating(law: fjr.TrackingLaw, rate: float, q_l: np.ndarray) -> Loop:

@@ -127,8 +127,9 @@ def test_cell_does_not_depend_on_other_cells() -> None:
 
 def test_margin_requires_tracking() -> None:
     """A stricter tracking level can only reduce margins; a level below the nominal error leaves none."""
-    loose, strict, none = (trial(tracks=level).margins(ALL) for level in (0.1, 0.01, 1e-7))
-    for direction in ALL:
+    some = directions(["stiffness", "delay", "load"])
+    loose, strict, none = (trial(tracks=level).margins(some) for level in (0.1, 0.01, 1e-7))
+    for direction in some:
         far = [
             abs(np.log(e[direction.name].level / max(direction.imperfection.nominal, 1e-9))) for e in (loose, strict)
         ]  # type: ignore[operator]

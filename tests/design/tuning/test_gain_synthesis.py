@@ -38,17 +38,6 @@ def robot(name: str) -> fjr.Robot:
     }[name]()
 
 
-def workspace(k: int = 40) -> np.ndarray:
-    """Return configurations of arm7 within 0.4 rad of a forward and downward reach."""
-    return HOME + np.random.default_rng(0).uniform(-0.4, 0.4, (k, 7))
-
-
-@cache
-def workspace_gains() -> fjr.Gains:
-    """Return the gains of arm7 for its workspace, on which several tests rest."""
-    return synthesize(robot("arm7"), 6.0, 1e-3, configurations=workspace())
-
-
 def elsewhere(arm: fjr.Robot, k: int = 1500) -> np.ndarray:
     """Return random configurations that neither check nor synthesis uses, half of them with aligned axes."""
     rng, limits = np.random.default_rng(11), arm.limits
@@ -86,14 +75,12 @@ def test_synthesised_gains_have_the_rate_and_half_a_sample_of_margin(
     assert law.rate(elsewhere(law.robot)).beta >= 0.9 * beta
 
 
-@pytest.mark.parametrize("name", ["chain", "arm7"])
+@pytest.mark.parametrize("name", ["chain", pytest.param("arm7", marks=pytest.mark.full)])
 def test_margins_hold_at_configurations_outside_the_check(name: str) -> None:
     """The gains are for one configuration (of arm7: for a workspace), and the check uses a larger, different set."""
     arm = robot(name)
-    at_zero = [np.zeros(arm.n)]
-    law = fjr.TrackingLaw(
-        arm, workspace_gains() if name == "arm7" else synthesize(arm, 6.0, 1e-3, configurations=at_zero)
-    )
+    given = HOME + np.random.default_rng(0).uniform(-0.4, 0.4, (40, 7)) if name == "arm7" else [np.zeros(arm.n)]
+    law = fjr.TrackingLaw(arm, synthesize(arm, 6.0, 1e-3, configurations=given))
     found, loop = check(law, 1e-3), closed_form(equilibria_at(arm, elsewhere(arm)), law.gains)
     assert found.configurations >= 1000
     assert found.lowest_stable_rate is not None
@@ -105,16 +92,16 @@ def test_margins_hold_at_configurations_outside_the_check(name: str) -> None:
 
 
 def test_gains_for_a_workspace_reach_a_higher_rate() -> None:
-    """M_l varies less away from singular configurations, so one more sample of delay is tolerated."""
-    q_l = workspace()
-    law = fjr.TrackingLaw(robot("arm7"), workspace_gains())
-    assert law.rate(q_l).beta >= 6 * (1 - 1e-9)
-    assert check(law, 1e-3, configurations=q_l, lowest_rate=False).delay_margin > 1.5
+    """M_l varies less while the elbow is bent."""
+    arm, bent = robot("planar"), np.random.default_rng(0).uniform([-1.0, 1.2], [1.0, 2.0], (40, 2))
+    law = fjr.TrackingLaw(arm, synthesize(arm, 35.0, 5e-3, configurations=bent))
+    assert law.rate(bent).beta >= 35 * (1 - 1e-9)
+    assert check(law, 5e-3, configurations=bent, lowest_rate=False).delay_margin >= 0.5
     with pytest.raises(fjr.GainsError, match="out of reach"):
-        synthesize(robot("arm7"), 6.0, 1e-3)
+        synthesize(arm, 35.0, 5e-3)
 
 
-@pytest.mark.parametrize(("name", "beta"), [("paper", 500.0), ("planar", 1e7), ("planar", 1e300)])
+@pytest.mark.parametrize(("name", "beta"), [("paper", 500.0), ("planar", 1e300)])
 def test_rate_named_in_the_error_is_reachable(name: str, beta: float) -> None:
     given = robot(name), 0.005, 0.005
     said = refused(fjr.GainsError, lambda: synthesize(given[0], beta, *given[1:]), f"beta = {beta:g} 1/s is out of")

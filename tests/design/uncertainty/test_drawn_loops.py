@@ -114,7 +114,7 @@ def test_draws_lost_at_a_rate_are_lost_at_every_faster_one() -> None:
     It is wrong only if the slowest of the rates that lose more than the share loses no draw: one chance in a hundred,
     however many rates are tried. With other draws each try would have its own.
     """
-    plants = drawn(4603, 0.1, delay=10e-3)
+    plants = drawn(1000, 0.1, delay=10e-3)
     lost = []
     for beta in (9.0, 8.5, 8.0, 7.0, 6.0):
         law = fjr.TrackingLaw(ROBOT, fjr.synthesize(ROBOT, beta, 2 * T, configurations=CONFIGURATIONS))
