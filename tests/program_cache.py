@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import time
@@ -41,13 +42,24 @@ def built(command: Sequence[str], sources: Sequence[Path], program: Path, *optio
 
 def _digest(command: Sequence[str], sources: Sequence[Path], options: Sequence[str]) -> str:
     """Return a digest of compiler, processor, options and sources with all that they include."""
-    objects = [source for source in sources if source.suffix == ".o"]
-    texts = [str(source) for source in sources if source not in objects]
-    read = hashlib.sha256(repr((command, version((command[0],)), processor())).encode())
-    read.update(repr([option for option in options if not option.startswith("-I")]).encode())
-    for each in objects:
-        read.update(each.read_bytes())
-    if texts:
-        words = [*command, *options, "-E", "-P", *texts]  # -P: without the names of the files
-        read.update(subprocess.run(words, capture_output=True, timeout=HANG).stdout)
-    return read.hexdigest()[:32]
+    folders = [Path(option.removeprefix("-I")) for option in options if option.startswith("-I")]
+    others = [option for option in options if not option.startswith("-I")]
+    parts = [repr((command, version((command[0],)), processor(), others)).encode(), *_contents(sources, folders)]
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()[:32]
+
+
+def _contents(sources: Sequence[Path], folders: Sequence[Path]) -> list[bytes]:
+    """Return the contents of sources and of what they include from beside them or from `folders`, each once.
+
+    The headers of the system are those of the compiler's version.
+    """
+    read: dict[Path, bytes] = {}
+    waiting = [*sources]
+    while waiting:
+        file = waiting.pop().resolve()
+        if file not in read:
+            read[file] = file.read_bytes()
+            names = re.findall(rb'^\s*#\s*include\s*["<]([^">\n]+)', read[file], re.MULTILINE)
+            found = [folder / os.fsdecode(name) for name in names for folder in (file.parent, *folders)]
+            waiting += [each for each in found if each.is_file()]
+    return list(read.values())

@@ -8,11 +8,8 @@ import pytest
 
 from core.oracles.cases import ARMS, HARD, TORSION, Arm, Array
 from core.oracles.chains import arm7
-from fjr_core.config.scenario import load_scenario
 from fjr_core.monitoring.external_torque import ExternalTorqueObserver
 from fjr_core.runtime.velocity_observer import LONGEST_GAP
-from fjr_core.simulation.imperfections import Imperfections
-from fjr_core.simulation.nonideal_plant import NonidealPlant
 
 L = 40.0  # 1/s
 EVERY = (ARMS[0], ARMS[-1], HARD[1], TORSION[1], arm7())
@@ -51,24 +48,6 @@ def test_estimate_is_the_torque_through_the_low_pass_to_second_order(arm: Arm) -
     fine, coarse = (error(arm, dt) for dt in (1e-3, 2e-3))
     assert fine < 2e-3 * max(1.0, np.abs(arm.robot.grad_P_l(np.full(arm.n, 0.4))).max())
     assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
-
-
-@pytest.mark.parametrize(("name", "joint", "torque"), [("two_link", 1, 0.8), ("arm7", 3, 5.0)])
-def test_step_on_one_joint_of_a_controlled_arm_is_seen_there(name: str, joint: int, torque: float) -> None:
-    scenario = load_scenario(f"ros2_ws/src/fjr_bringup/scenarios/{name}.yaml")
-    robot, law, reference, x = scenario.robot, scenario.tracking_law, scenario.reference, scenario.x0
-    plant, n, ideal = NonidealPlant(scenario.plant), robot.n, Imperfections(robot.n).vector
-    t, push, rows, state = np.arange(500) * 1e-3, np.zeros(n), [], np.append(x, np.zeros(2 * n))
-    for k in range(len(t)):
-        push[joint] = torque if k >= 300 else 0.0
-        rows.append((state[: 2 * n], np.concatenate(robot.velocities(state[: 4 * n]))))
-        u = law.measured_command(*rows[-1], reference.jets(t[k]))[0]
-        for _ in range(4):
-            state = plant.step(state, u, push, ideal, 0.25e-3)
-    found = ExternalTorqueObserver(robot, 50.0).along(t, *map(np.array, zip(*rows, strict=True)))[:, -n:]
-    wanted = np.zeros((len(t), n))
-    wanted[300:, joint] = torque * (1 - np.exp(-50.0 * (t[300:] - t[300])))
-    assert np.abs(found - wanted)[50:].max() < 0.01 * torque
 
 
 def test_restarts_and_continues() -> None:

@@ -224,44 +224,41 @@ def with_limits(xml: str) -> str:
     return xml.replace("</joint>", '<limit lower="0" upper="0" effort="0" velocity="0"/></joint>')
 
 
-def test_a_bad_inertia_that_no_chosen_joint_moves_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
-    bad = link("antenna", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + link("hub", mass=-2.0)
-    arms = joint("mast", "base", "antenna", "fixed") + joint("wheel", "base", "hub", "continuous")
-    found = read(with_more(bad, arms))
-    q = np.array([0.4, -0.7])
-    assert np.array_equal(found.M_l(q), read(TWO).M_l(q))
-    assert [record.getMessage() for record in caplog.records] == [
-        "link 'antenna' has the principal inertia -1; expected 0 or more; "
-        "link 'hub' has the mass -2.0; expected 0 or more; ignored, since no chosen joint moves them"
-    ]
+def with_inertia(ixx: float, iyy: float, izz: float) -> str:
+    """Return the URDF of two links of which the first has other principal inertias."""
+    other = f'ixx="{ixx}" ixy="0" ixz="0" iyy="{iyy}" iyz="0" izz="{izz}"'
+    return TWO.replace(ZERO.replace('iyy="0"', 'iyy="0.01"'), other, 1)
 
 
-def test_an_inertia_that_no_body_has_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
-    read(
-        TWO.replace(
-            ZERO.replace('iyy="0"', 'iyy="0.01"'), 'ixx="0.01" ixy="0" ixz="0" iyy="0.031" iyz="0" izz="0.02"', 1
-        )
-    )
-    assert [record.getMessage() for record in caplog.records] == [
-        "link 'upper' has principal inertias of 0.01, 0.02 and 0.031 kg m^2; "
-        "expected the largest to be at most the sum of the others"
-    ]
-    caplog.clear()
-    read(TWO.replace(ZERO.replace('iyy="0"', 'iyy="0.01"'), 'ixx="90" ixy="0" ixz="0" iyy="90" iyz="0" izz="90"', 1))
-    assert [record.getMessage() for record in caplog.records] == [
-        "link 'upper' has 1 kg and an inertia of 90 kg m^2, a radius of gyration of 9.49 m; expected at most 5 m"
-    ]
+ANTENNA = link("antenna", inertia=ZERO.replace('iyy="0"', 'iyy="-1"')) + joint("mast", "base", "antenna", "fixed")
+HUB = link("hub", mass=-2.0) + joint("wheel", "base", "hub", "continuous")
+DOUBTED = {
+    "link 'antenna' has the principal inertia -1; expected 0 or more; link 'hub' has the mass -2.0; "
+    "expected 0 or more; ignored, since no chosen joint moves them": with_more(ANTENNA, HUB),
+    "link 'upper' has principal inertias of 0.01, 0.02 and 0.031 kg m^2; "
+    "expected the largest to be at most the sum of the others": with_inertia(0.01, 0.031, 0.02),
+    "link 'upper' has 1 kg and an inertia of 90 kg m^2, "
+    "a radius of gyration of 9.49 m; expected at most 5 m": with_inertia(90, 90, 90),
+    "joint 'shoulder' has the origin (0.0, 0.0, 0.0) m and limits of -170 and 170; "
+    "expected m and rad, at most 50": TWO.replace("</joint>", '<limit lower="-170" upper="170"/></joint>', 1),
+    "joint 'elbow' has the origin (0.0, 0.0, -300.0) m and limits of -inf and inf; "
+    "expected m and rad, at most 50": TWO.replace('"0 0 -0.3"', '"0 0 -300"'),
+}
+"""URDFs by the warning that each gives: bodies that no chosen joint moves, bodies that are none, mm and degrees."""
 
 
-def test_millimetres_and_degrees_are_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("warning", DOUBTED)
+def test_a_doubtful_urdf_is_read_with_one_warning(warning: str, caplog: pytest.LogCaptureFixture) -> None:
+    found = read(DOUBTED[warning])
+    assert [record.getMessage() for record in caplog.records] == [warning]
+    if "no chosen joint" in warning:
+        q = np.array([0.4, -0.7])
+        assert np.array_equal(found.M_l(q), read(TWO).M_l(q))
+
+
+def test_limits_without_end_are_no_warning(caplog: pytest.LogCaptureFixture) -> None:
     read(limited('<limit lower="-1e16" upper="1e16"/>'), ["shoulder"])
     assert not caplog.records
-    read(limited('<limit lower="-170" upper="170"/>'), ["shoulder"])
-    read(TWO.replace('"0 0 -0.3"', '"0 0 -300"'))
-    assert [record.getMessage() for record in caplog.records] == [
-        "joint 'shoulder' has the origin (0.0, 0.0, 0.0) m and limits of -170 and 170; expected m and rad, at most 50",
-        "joint 'elbow' has the origin (0.0, 0.0, -300.0) m and limits of -inf and inf; expected m and rad, at most 50",
-    ]
 
 
 # Invalid input: one sentence, nothing printed.

@@ -39,10 +39,6 @@ def place(arm: Arm, seed: int) -> Point:
     return random_point(arm, seed, same=True)
 
 
-def djets(p: Point, still: bool) -> Array:
-    return np.zeros_like(p.jets) if still else p.djets
-
-
 # motor-side laws: storage for a constant reference
 
 ON_MOTORS = ["pd_gravity", "pd_feedforward", "torque_feedback", "torque_feedback_feedforward"]

@@ -51,8 +51,8 @@ def test_guesses_without_effort_limits_are_finite() -> None:
     assert np.all(np.isfinite(typical.stiffness) & (typical.stiffness > 0))
 
 
-@pytest.mark.parametrize("gain", [0.25, 4.0])
-def test_an_input_gain_with_limits_in_its_efforts_changes_no_first_loop(gain: float) -> None:
+def test_an_input_gain_with_limits_in_its_efforts_changes_no_first_loop() -> None:
+    gain = 4.0
     plain, geared = (two_link(lower=0.5, upper=0.9, effort=effort) for effort in (8.0, 8.0 / gain))
     geared = replace(geared, B_m=gain * np.eye(2))
     one, other = (proposal_of(robot, JOINTS, "arm") for robot in (plain, geared))
