@@ -212,6 +212,7 @@ def test_frozen_states_are_said_again_after_the_next_activation() -> None:
     assert [event.kind for event in tracker.events].count("states frozen") == 2
 
 
+@tried(max_examples=40)
 @given(
     speed=st.floats(0.1, 6.0),
     errors=st.lists(st.floats(-TIMING / 2, TIMING / 2), min_size=20, max_size=20),
@@ -230,6 +231,7 @@ def test_a_joint_at_its_velocity_limit_does_not_jump_whenever_its_states_are_sta
     assert not tracker.counters["stops: position jump"]
 
 
+@tried(max_examples=40)
 @given(joint=st.integers(0, 1), sign=signs, speed=st.floats(0.0, 5.0), ms=st.integers(1, 90), more=st.floats(1.01, 1e6))
 def test_a_link_that_moved_further_than_its_limit_allows_stops(
     joint: int, sign: float, speed: float, ms: int, more: float

@@ -30,9 +30,8 @@ from core.oracles.properties import (
 EXACT = 1e-11
 """Tolerance for URDF arms: residuals are relative to the largest torques, so this checks the wrist to six digits."""
 URDF_ARMS = {"two_joints": two_joints, "arm7": arm7}
-URDF_LOOPS = [f"{name}-{kind}" for name in URDF_ARMS for kind in ("linear", "cubic")]
 loops = pytest.mark.parametrize(("arm", "gains"), LOOPS, ids=LOOP_NAMES)
-all_loops = pytest.mark.parametrize("name", [*LOOP_NAMES, *URDF_LOOPS])
+all_loops = pytest.mark.parametrize("name", [*LOOP_NAMES, *URDF_ARMS])
 points = pytest.mark.parametrize(
     "place", POINTS, ids=lambda p: f"{p[0]}-{'same' if p[1] else 'apart'}-{'omega' if p[2] else 'free'}"
 )
@@ -42,9 +41,8 @@ points = pytest.mark.parametrize(
 def loop_named(name: str) -> Loop:
     if name in LOOP_NAMES:
         return loop_of(*LOOPS[LOOP_NAMES.index(name)])
-    which, _, kind = name.partition("-")
-    arm = URDF_ARMS[which]()
-    return loop_of(arm, scaled_gains(arm, cubic=kind == "cubic"))
+    arm = URDF_ARMS[name]()
+    return loop_of(arm, scaled_gains(arm, cubic=True))
 
 
 def at(name: str, *place: Any) -> tuple[Loop, Point, float]:

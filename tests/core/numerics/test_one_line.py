@@ -17,6 +17,7 @@ from fjr_core.config.robot import robot, robot_parameters
 from fjr_core.errors import FjrError
 from fjr_core.numerics.one_line import at_least, at_most
 from fjr_core.runtime.safety_settings import Settings
+from fuzzing import fuzzed
 from two_link_urdf import two_link_urdf
 
 
@@ -43,6 +44,7 @@ BAD = st.one_of(
 
 
 @pytest.mark.parametrize("entry", ENTRIES)
+@fuzzed(50)
 @given(names=BAD)
 def test_bad_names_are_refused_in_one_printable_sentence(entry: str, names: list[str]) -> None:
     with pytest.raises(FjrError) as refused:
@@ -51,6 +53,7 @@ def test_bad_names_are_refused_in_one_printable_sentence(entry: str, names: list
     assert re.search(r"(expected|; )", str(refused.value))
 
 
+@fuzzed(50)
 @given(
     names=st.tuples(NAMES, NAMES).filter(lambda pair: pair[0] != pair[1] and not {f"{n}_motor" for n in pair} & {*pair})
 )

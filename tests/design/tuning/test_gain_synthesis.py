@@ -38,7 +38,7 @@ def robot(name: str) -> fjr.Robot:
     }[name]()
 
 
-def elsewhere(arm: fjr.Robot, k: int = 1500) -> np.ndarray:
+def elsewhere(arm: fjr.Robot, k: int = 800) -> np.ndarray:
     """Return random configurations that neither check nor synthesis uses, half of them with aligned axes."""
     rng, limits = np.random.default_rng(11), arm.limits
     lower, upper = (limits.lower, limits.upper) if limits else (-np.pi, np.pi)
