@@ -99,7 +99,7 @@ def test_no_healthy_encoder_is_frozen_or_jumps(
 ) -> None:
     """Up to 20 ms slower than the states, coarse, with an offset of the velocity, at rest or fast, also at its turn."""
     tracker = two(link_velocity=np.full(2, 1.001 * amplitude * rate + 0.01))
-    for stamp in range(FIRST + start * SECOND, FIRST + start * SECOND + 300 * MS, period):
+    for stamp in range(FIRST + start * SECOND, FIRST + start * SECOND + 600 * MS, period):
         t = (stamp - stamp % every) * 1e-9
         q, dq = amplitude * math.sin(rate * t), amplitude * rate * math.cos(rate * t)
         if resolution:
