@@ -73,22 +73,26 @@ def replay(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built(C99, sorted(folder.glob("*.c")), folder / "replay")
 
 
+def altered(case: Path, column: int, change: float, to: Path) -> float:
+    """Write a case with another number in a column of its sample 40; return the number that it had."""
+    rows = [line.split() for line in case.read_text().splitlines()]
+    number = float.fromhex(rows[40][column])
+    rows[40][column] = float.hex(number + change)
+    to.write_text("".join(" ".join(row) + "\n" for row in rows))
+    return number
+
+
 @pytest.mark.parametrize("column", [2, 5, -1])
 def test_replay_detects_a_wrong_number(column: int, replay: Path, tmp_path: Path) -> None:
-    rows = [line.split() for line in replay.with_name("case.txt").read_text().splitlines()]
-    rows[40][column] = float.hex(float.fromhex(rows[40][column]) + 1e-8)
-    (tmp_path / "case.txt").write_text("".join(" ".join(row) + "\n" for row in rows))
+    altered(replay.with_name("case.txt"), column, 1e-8, tmp_path / "case.txt")
     assert compared(replay, tmp_path / "case.txt", code=1)[EFFORTS] >= 1
 
 
 def test_replay_allows_a_stated_rounding_of_another_c_library_and_no_more(replay: Path, tmp_path: Path) -> None:
     sources = sorted(replay.parent.glob("*.c"))
     tolerant = built(C99, sources, tmp_path / "tolerant", "-DEFFORT_TOLERANCE=1e-9")
-    rows = [line.split() for line in replay.with_name("case.txt").read_text().splitlines()]
-    effort = float.fromhex(rows[40][-1])
     for change, program, code in ((1e-12, replay, 1), (1e-12, tolerant, 0), (1e-8, tolerant, 1)):
-        rows[40][-1] = float.hex(effort + change)
-        (tmp_path / "case.txt").write_text("".join(" ".join(row) + "\n" for row in rows))
+        effort = altered(replay.with_name("case.txt"), -1, change, tmp_path / "case.txt")
         found = compared(program, tmp_path / "case.txt", code=code)
         assert found[EFFORTS] == 1
         assert found["efforts: worst difference"] == pytest.approx(change / max(1, abs(effort)), rel=1e-2)

@@ -74,7 +74,7 @@ def test_bandwidths_are_equal_and_peak_efforts_equal_where_reachable(case: str, 
 def test_peak_effort_of_the_run_is_the_first_effort(case: str, name: str) -> None:
     t, y = found(case, name), CASES[case]()
     x0 = y.robot.state(*np.split(y.start[0], 2), *np.split(y.start[1], 2))
-    run = fjr.simulate(fjr.Plant(y.robot), t.law, y.reference, x0, 2.0, 1e-3)
+    run = fjr.simulate(fjr.Plant(y.robot), t.law, y.reference, x0, 1.0, 1e-3)
     assert np.abs(run.u).max() == pytest.approx(t.peak, rel=0.02)
 
 

@@ -186,21 +186,17 @@ def test_a_file_that_is_no_identification_is_refused(values: object) -> None:
         Identification.from_dict(values)
 
 
-def test_a_deviation_under_its_former_name_is_reported_and_drawn_as_before(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_deviation_under_its_former_name_is_drawn_as_before_and_reported_once_but_not_by_workers(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     given = {"uniform": [0.0, 1.0]}
-    assert draws.varied({"external": given}) == draws.varied({"link_torque": given})
-    assert "'external' under 'vary' is deprecated; use 'link_torque'" in capsys.readouterr().err
+    checked = uncertainties({"vary": {"external": given}})["vary"]
+    said = capsys.readouterr().err
+    assert "'external' under 'vary' is deprecated; use 'link_torque'" in said
+    assert said.count("deprecated") == 1
+    vary = draws.varied(json.loads(json.dumps(checked)))  # as a worker reads it
+    assert capsys.readouterr().err == ""
+    assert vary == draws.varied({"link_torque": given}) == draws.varied({"external": given})
     assert draws.stream("link_torque") == draws.stream("external")
     with pytest.raises(ParameterError, match="'external' beside its new name 'link_torque'"):
         draws.varied({"external": given, "link_torque": given})
-
-
-def test_a_comparison_reports_a_former_name_once_and_not_in_its_worker_processes(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    given = {"external": {"uniform": [0.0, 1.0]}, "stiffness": 1.1}
-    checked = uncertainties({"vary": given})["vary"]
-    assert capsys.readouterr().err.count("deprecated") == 1
-    vary = draws.varied(json.loads(json.dumps(checked)))  # as a worker reads it
-    assert capsys.readouterr().err == ""
-    assert vary == draws.varied(given)
