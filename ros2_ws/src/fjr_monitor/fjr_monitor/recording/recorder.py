@@ -261,9 +261,8 @@ class Recorder:
             count += 1
             last, info = taken
             first = first or last
-            sequence = info["publication_sequence_number"] or 0
             sent = info["source_timestamp"]
-            write(keep, channel, info["received_timestamp"], sent, sequence, last)
+            write(keep, channel, info["received_timestamp"], sent, info["publication_sequence_number"] or 0, last)
         if last:
             track.sent = sent
             track.ends = (track.ends[0] if track.ends else first, last)

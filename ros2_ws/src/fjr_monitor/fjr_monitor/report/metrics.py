@@ -27,6 +27,7 @@ from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.run import ControllerStop, Recording
 from fjr_monitor.report import performance
 from fjr_monitor.report.contact import Contact, contact
+from fjr_monitor.report.performance import quantiles
 from fjr_msgs_py.console.output import finite, milli, number, percent
 from fjr_msgs_py.console.provenance import Provenance
 
@@ -229,7 +230,7 @@ class Metrics:
             joints=joints,
             storage=performance.storage(run.columns.column("t"), self.columns.column("V"), self.beta, self.proven),
             energy=performance.energy(self.columns) if self.energy_known else None,
-            timing=performance.timing(run.signals),
+            timing=performance.Timing(*quantiles(run.signals.periods), *quantiles(run.signals.latencies)),
             counts=performance.counts(run, duration),
             diagnostics=run.signals.counters,
             versions=versions,

@@ -20,7 +20,7 @@ from fjr_core.numerics.one_line import at_least
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import Times
 from fjr_monitor.recording.run import Recording, RunData
-from fjr_monitor.recording.signals import END, RunSignals
+from fjr_monitor.recording.signals import END
 
 STEADY_AFTER = 2.0  # s; metrics "after 2 s" exclude the transient
 SETTLED = 0.02  # of the initial error
@@ -87,23 +87,22 @@ def tracked(run: Recording) -> tuple[list[JointMetrics], Tracking]:
         at_limit = np.isfinite(u) & (u >= AT_LIMIT * limit)
         (peak, rms), (late_peak, late_rms) = _peak_and_rms(size), _peak_and_rms(size[late:])
         peak_effort, rms_effort = _peak_and_rms(u)
-        joints.append(
-            JointMetrics(
-                joint=joint,
-                position_unit=units.position,
-                effort_unit=units.effort,
-                initial_error_rad=float(first[j]),
-                peak_error_rad=peak,
-                rms_error_rad=rms,
-                peak_error_after_2s_rad=late_peak,
-                rms_error_after_2s_rad=late_rms,
-                settling_time_2_percent_s=settling_time(t, size, band),
-                peak_effort_nm=peak_effort,
-                rms_effort_nm=rms_effort,
-                effort_limit_nm=float(limit),
-                saturated_fraction=_share(at_limit, ~np.isnan(u)) if np.isfinite(limit) else np.nan,
-            )
+        found = JointMetrics(
+            joint=joint,
+            position_unit=units.position,
+            effort_unit=units.effort,
+            initial_error_rad=float(first[j]),
+            peak_error_rad=peak,
+            rms_error_rad=rms,
+            peak_error_after_2s_rad=late_peak,
+            rms_error_after_2s_rad=late_rms,
+            settling_time_2_percent_s=settling_time(t, size, band),
+            peak_effort_nm=peak_effort,
+            rms_effort_nm=rms_effort,
+            effort_limit_nm=float(limit),
+            saturated_fraction=_share(at_limit, ~np.isnan(u)) if np.isfinite(limit) else np.nan,
         )
+        joints.append(found)
         np.maximum(largest, size, out=largest)
         commanded, saturated = commanded & np.isfinite(u), saturated | at_limit
     peaks, limits, late_peaks = (
@@ -291,12 +290,7 @@ class Counts:
     lost_by_recorder: dict[str, int | None]  # topic -> gaps in the sequence numbers; null: several publishers
 
 
-def timing(signals: RunSignals) -> Timing:
-    """Return the timing of a run."""
-    return Timing(*_quantiles(signals.periods), *_quantiles(signals.latencies))
-
-
-def _quantiles(times: Times) -> list[float]:
+def quantiles(times: Times) -> list[float]:
     """Return median, 99 % and largest of times (k,) [ns], which are sorted in part, in us; NaN without any."""
     found = np.quantile(times, (0.5, 0.99, 1.0), overwrite_input=True) if len(times) else np.full(3, np.nan)
     return (1e-3 * found).tolist()

@@ -198,8 +198,7 @@ def output_paths(summaries: Sequence[RunSummary]) -> str:
 
 def play_hint(bag: Path) -> str:
     """Return a line with the command that plays a bag."""
-    storage = next(bag.glob("*.mcap"), bag)
-    return f"play a bag: {play_command(bag)}   (or open {storage} in Foxglove or PlotJuggler)"
+    return f"play a bag: {play_command(bag)}   (or open {next(bag.glob('*.mcap'), bag)} in Foxglove or PlotJuggler)"
 
 
 def _row(label: str, report: Report) -> tuple[str, ...]:

@@ -196,9 +196,7 @@ class FjrWatch:
         self._now = now
         for subscription, on_times, on_last in self._stamped:
             taken = drained(subscription)
-            on_times(
-                [(header_stamp(data), info["source_timestamp"], info["received_timestamp"]) for data, info in taken]
-            )
+            on_times([(header_stamp(each), i["source_timestamp"], i["received_timestamp"]) for each, i in taken])
             for data, _ in taken[-1:]:
                 on_last(deserialize_message(data, subscription.msg_type))
         for subscription, on_newest in self._newest:
@@ -235,9 +233,7 @@ class FjrWatch:
             self._watched.effort(labelled(message) or in_order)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if not status.name.startswith(self._space):
-                continue  # of another robot
+        for status in (each for each in message.status if each.name.startswith(self._space)):  # of this robot
             values = {pair.key: pair.value for pair in status.values}
             health = NodeHealth(status.name, status.level[0], status.message, values.get("state", ""))
             self._watched.health(self._now, health)
@@ -249,7 +245,4 @@ def _by_name(message: JointState, values: Sequence[float]) -> dict[str, float]:
 
 def drained(subscription: Subscription) -> list[tuple[bytes, Any]]:
     """Empty a queue; return the serialised messages with their infos."""
-    found = []
-    while (taken := subscription.handle.take_message(subscription.msg_type, True)) is not None:
-        found.append(taken)
-    return found
+    return list(iter(lambda: subscription.handle.take_message(subscription.msg_type, True), None))
