@@ -80,6 +80,29 @@ def test_states_that_wait_for_a_paused_controller_are_a_delay() -> None:
     assert running.verdict().causes == ("delay",)
 
 
+def test_a_verdict_ends_with_the_states_it_is_about() -> None:
+    plant, x, certified = fjr.Plant(LAW.robot), LAW.robot.state(0.5, 0.5, 0.0, 0.0), Certified(LAW)
+    running = OnlineDiagnosis(LAW, (np.array([np.inf]), np.inf), certified)
+
+    def moved(x: np.ndarray, begin: int) -> np.ndarray:
+        for k in range(begin, begin + 300):
+            velocity, jets = np.concatenate(LAW.robot.velocities(x)), REFERENCE.jets(k * PERIOD)
+            u, _ = LAW.measured_command(x[:2], velocity, jets)
+            certified.take(k * 1_000_000, x[:2], velocity, jets, u)
+            running.look(BETA, int(k > begin))
+            x = plant.step(x, u, PERIOD)
+        return x
+
+    x = moved(x, 0)
+    assert running.verdict().kind == "holding"
+    silent = running.verdict()
+    assert (silent.kind, silent.sentence) == ("unknown", "no diagnosis: too few states with a command of the law")
+    certified.forget()
+    certified.restart()
+    moved(x, 300)
+    assert running.verdict().kind == "holding"
+
+
 @pytest.mark.parametrize("offset", [0, 5_000_000_000, -5_000_000_000])
 def test_latency_does_not_depend_on_the_clock_offset(offset: int) -> None:
     latency, delays = Latency(), [120_000, 100_000, 250_000, 100_000]

@@ -117,18 +117,22 @@ class OnlineDiagnosis:
     def forget(self) -> None:
         """Discard all blocks and estimates."""
         self._blocks.clear()
-        self._new, self._period, self._change, self._lowest = 0, 0.0, 0.0, np.inf
+        self._new, self._since, self._period, self._change, self._lowest = 0, 0, 0.0, 0.0, np.inf
         self._propagation = causes.CausePropagation(self._law.robot)
 
     def look(self, beta: float, count: int = 1) -> None:
         """Process `count` more intervals; beta [1/s]: guaranteed rate of V."""
         self._new += count
+        self._since += count
         self.beta = beta
         while self._new >= TOGETHER * BLOCK:
             self._process(TOGETHER)
 
     def verdict(self) -> Diagnosis:
         """Diagnose the last BLOCKS blocks and update the estimate of the input delay for the next ones."""
+        if not self._since:  # since the last verdict: the states, or the commands of the law, have ended
+            self.forget()
+        self._since = 0
         if self._new >= BLOCK:
             self._process(self._new // BLOCK)
         if not self._blocks:
