@@ -146,6 +146,20 @@ def test_timing_covers_the_last_seconds() -> None:
     assert timing.unanswered == 20
 
 
+def test_only_states_after_the_first_answer_that_was_heard_count_as_unanswered() -> None:
+    """The commands may be matched later than the states; a controller that ends leaves its states unanswered."""
+    watched = Watched("t")
+    watched.sent(received((k * MS, k * MS) for k in range(1000)))
+    assert watched.view(1.0).timing.unanswered == 0, "no controller was heard"
+    watched.answered(received((k * MS, k * MS + 200_000) for k in range(600, 1000)))
+    assert watched.view(1.0).timing.unanswered == 0
+    watched.sent(received((k * MS, k * MS) for k in range(1000, 6001)))
+    timing = watched.view(6.0).timing
+    assert (timing.latency, timing.unanswered) == (None, 2000)
+    watched.state(6.0, {"a": 0.0}, {"a": 0.0})
+    assert "unanswered 2000" in text(watched.view(6.0), 120)
+
+
 @pytest.mark.parametrize("states", [0, 100])
 def test_commands_without_states_fill_no_memory(states: int) -> None:
     """A robot that is not seen, or has died, beside a controller that goes on."""

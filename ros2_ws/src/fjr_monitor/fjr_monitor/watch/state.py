@@ -108,6 +108,7 @@ class Watched:
         self._last_state: float | None = None
         self._sent: deque[tuple[int, int]] = deque()  # stamp, send time [ns] of states
         self._answered: dict[int, int] = {}  # send time [ns] of the command by the stamp of its state
+        self._heard = END  # stamp of the first answered state: commands before it may have gone unheard
         self._ahead = [-END, -END]  # largest send minus receive times [ns] of states, commands
         self._certificate: dict[str, float] | None = None
         self._history: deque[float] = deque(maxlen=HISTORY)
@@ -146,6 +147,7 @@ class Watched:
         for stamp, time, received in times:
             self._ahead[1] = max(self._ahead[1], time - received)
             self._answered.setdefault(stamp, time)
+            self._heard = min(self._heard, stamp)
         oldest, late = self._sent[0][0] if self._sent else 0, max(self._answered.values(), default=0) - 2 * WINDOW
         for stamp in [stamp for stamp, time in self._answered.items() if stamp < oldest or time < late]:
             del self._answered[stamp]
@@ -219,11 +221,11 @@ class Watched:
         sent = np.array([time for _, time in self._sent], dtype=float) * NANO
         clocks = clock_difference(*self._ahead)
         latencies = [self._answered[stamp] - clocks - time for stamp, time in self._sent if stamp in self._answered]
-        pending = self._sent[-1][0] not in self._answered
-        unanswered = len(self._sent) - len(latencies) - pending
+        due = [stamp for stamp, _ in self._sent if stamp >= self._heard][:-1]  # the last command may be on its way
+        unanswered = sum(stamp not in self._answered for stamp in due)
         latency = _percentiles(np.array(latencies) * NANO) if latencies else None
         rate = (len(sent) - 1) / max(sent[-1] - sent[0], NANO)
-        return LoopTiming(float(rate), _percentiles(np.diff(sent)), latency, unanswered if latencies else 0)
+        return LoopTiming(float(rate), _percentiles(np.diff(sent)), latency, unanswered)
 
 
 def _percentiles(values: np.ndarray) -> tuple[float, float, float]:

@@ -92,6 +92,7 @@ def _header(view: View) -> Text:
     line.append(f"   period {_ms(timing.period)}")
     if timing.latency:
         line.append(f"   state to command {_ms(timing.latency)}")
+    if timing.latency or timing.unanswered:
         line.append(f"   unanswered {timing.unanswered}", style="red" if timing.unanswered else "default")
     return line
 
