@@ -238,6 +238,24 @@ def test_another_reference_than_the_scenarios_is_differentiated(run: Path, anoth
     np.testing.assert_allclose(data.V[inside], whole.V[inside], rtol=1e-3, atol=1e-6 * whole.V[0])
 
 
+def test_a_bag_that_begins_and_ends_within_the_motion_has_the_reference_of_all_its_states(
+    run: Path, tmp_path: Path, model: Scenario, whole: RunData
+) -> None:
+    """The reference is published more rarely than the states, and its topic may be found later."""
+
+    def later(topic: str, message: Any) -> Any:
+        if topic not in (STATES, ANSWERS, REFERENCE):
+            return message
+        k = round((nanoseconds(message) - START) * 1e-6)
+        rare = topic != REFERENCE or (k % 10 == 0 and k >= 330)
+        return message if 303 <= k <= 907 and rare else None
+
+    recording, data = read(rewritten(run / "bag", tmp_path / "copy", change=later), model)
+    assert (len(data.t), recording.signals.stamp[0]) == (907 - 330 + 1, START + 330 * 10**6)
+    np.testing.assert_allclose(data.jets[:, :2], whole.jets[330:908, :2], atol=1e-6)
+    np.testing.assert_allclose(data.V, whole.V[330:908], rtol=0.05, atol=1e-6 * whole.V[0])
+
+
 def looped(topic: str, message: Any) -> Any:
     """Return the message with 0.3 s of its stamps repeated."""
     if topic not in (STATES, ANSWERS, REFERENCE):

@@ -253,14 +253,14 @@ class RecordedReference:
         return self._numerical(planned, t, np.flatnonzero(usable), position, velocity)
 
     def _numerical(self, planned: Array, t: Array, rows: NDArray[np.intp], position: Array, velocity: Array) -> Array:
-        """Replace the jets from the first of `rows` on by derivatives of splines through the recorded reference."""
+        """Replace the jets from the first of `rows` on by splines through the recorded ones and a step on."""
         if len(rows) <= DEGREE:
             return planned
         from scipy.interpolate import make_interp_spline  # loaded on use: a fifth of the imports of `fjr run`
 
         self._start = t[rows[0]] if self._start is None else self._start
-        since = slice(rows[0], None)
-        planned, inside = planned.copy(), np.clip(t[since], t[rows[0]], t[rows[-1]])
+        since, end = slice(rows[0], None), 2 * t[rows[-1]] - t[rows[-2]]  # it is published more rarely than the states
+        planned, inside = planned.copy(), np.clip(t[since], t[rows[0]], end)
         planned[since, 0] = make_interp_spline(t[rows], position[rows], k=DEGREE)(inside)
         curve = make_interp_spline(t[rows], velocity[rows], k=DEGREE)
         for order in range(1, JETS):

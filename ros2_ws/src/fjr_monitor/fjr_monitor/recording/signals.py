@@ -33,6 +33,7 @@ AFTERWARDS = 10**9  # ns; the last commands may arrive after the last state
 LOST = 0.01  # of the states; more that the recorder lost are noted
 CLOCKS = 500_000  # ns; delays to the receiver differ by less on one machine
 TAIL = 1.0  # s; states after the last command that are dropped without a note
+NEAR = 1e-6  # rad, m; two references that are nearer are equal
 END = 2**63 - 1
 Places = NDArray[np.int32]
 """Rows of another topic that belong to k states; -1: none."""
@@ -127,6 +128,7 @@ class RunSignals:
         self._ahead = self._read(bag, scenario.joints)
         self.events = [(event, sent - self._ahead) for event, sent in self.events]
         self._references = _of_stamps(*self._choose(bag, duration), self._times(REFERENCE))[0]
+        self._begin_with_reference(scenario)
 
     def states(self, rows: slice) -> tuple[Array, Array, Array]:
         """Return positions, velocities (m, 2n) [rad, rad/s] and measured motor torques (m, n) [N m] of states."""
@@ -214,6 +216,15 @@ class RunSignals:
         self._rows, self._answers = (begin + rows).astype(np.int32), answers[rows]
         self.notes = self._notes(bag, len(starts), float(last - self.stamp[-1]) * 1e-9)
         return self.stamp, sent[[0, -1]]
+
+    def _begin_with_reference(self, scenario: Scenario) -> None:
+        """Drop the states before the first recorded reference if it is not the planned one: their motion is unknown."""
+        first = int(np.argmax(self._references >= 0))
+        (recorded,), t = self.reference(slice(first, first + 1))[0], (self.stamp[first] - self.stamp[0]) * 1e-9
+        if first and np.abs(recorded - scenario.reference.jets(t)[0]).max() > NEAR:
+            self.stamp, self.sent, self.answered = self.stamp[first:], self.sent[first:], self.answered[first:]
+            self._rows, self._answers = self._rows[first:], self._answers[first:]
+            self._references = self._references[first:]
 
     def _answers_of(self, stamp: Times, sent: Times) -> tuple[Places, Times]:
         """Return the command of each state of a section, and its send time [ns]; -1: none.
