@@ -97,6 +97,13 @@ def test_real_arms_have_one_chain_of_six_joints_and_one_without_inertia_is_refus
         arm_of(rtb("KUKA LBR iiwa 14"))
 
 
+def test_where_all_joints_are_those_of_a_hand_they_are_named_and_taken_on_request(tmp_path: Path) -> None:
+    (tmp_path / "finger.urdf").write_text(two_link_urdf().replace('joint name="', 'joint name="finger_'), "utf-8")
+    with pytest.raises(RobotError, match="expected an arm, or --joints finger_shoulder,finger_elbow$"):
+        arm_of(tmp_path / "finger.urdf")
+    assert arm_of(tmp_path / "finger.urdf", ["finger_shoulder", "finger_elbow"]).robot.n == 2
+
+
 def test_joints_that_carry_no_mass_are_locked_with_a_note(tmp_path: Path) -> None:
     flange = '<link name="flange"/>' + joint("roll", "lower", "flange", -0.25)
     (tmp_path / "arm.urdf").write_text(two_link_urdf().replace("</robot>", flange + "</robot>"), encoding="utf-8")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -92,5 +93,8 @@ def test_first_gains_are_stable_with_a_margin_in_the_whole_range() -> None:
 
 def test_an_arm_too_fast_for_the_loop_is_refused() -> None:
     robot = replace(two_link(), K=1e7 * np.eye(2))
-    with pytest.raises(fjr.GainsError, match="no gains of 6 to 0.3 1/s are stable at 1000 Hz"):
-        first_gains(robot, 1e-3, np.zeros((1, 2)))
+    with pytest.raises(fjr.GainsError, match="no gains of 6 to 0.3 1/s are stable at 1000 Hz") as raised:
+        first_gains(robot, 1e-3, np.zeros((1, 2)), joints=JOINTS)
+    least, most = (robot.M_l(np.array([0.0, elbow]))[0, 0] for elbow in (np.pi, 0.0))  # folded and stretched
+    named = re.search(r"joint 'shoulder' moves (.*) to (.*) kg m\^2", str(raised.value))
+    assert [float(each) for each in named.groups()] == pytest.approx([least, most], rel=0.05)

@@ -147,7 +147,8 @@ def _root(path_or_xml: str | os.PathLike[str]) -> ET.Element:
     if root.tag != "robot":
         raise RobotError(f"{source} has the root element <{root.tag}>; expected the <robot> of a URDF")
     if any(element.tag.startswith("xacro:") for element in root.iter()):
-        raise RobotError(f"{source} contains xacro commands; expected a plain URDF, the output of the program xacro")
+        makes = "by `xacro FILE > arm.urdf` of ROS 2, or by `xacrodoc FILE -o arm.urdf` of the package xacrodoc of PyPI"
+        raise RobotError(f"{source} contains xacro commands; expected a plain URDF, {makes}")
     return root
 
 

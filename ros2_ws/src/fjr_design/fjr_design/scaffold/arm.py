@@ -73,7 +73,7 @@ def arm_of(
     """
     tree, gravity = read_urdf(text or urdf), (known or {}).get("gravity", Arm.gravity)
     found = tuple(chains(tree))
-    chosen = tuple(joints) or _chain(found, chain)
+    chosen = tuple(joints) or _chain(tree, found, chain)
     rigid, moving, notes = _rigid(text or urdf, tree, chosen, gravity, drop=not joints)
     robot, guesses, source = _with_joint_data(rigid, moving, known or published(moving))
     content = re.sub(r"<!--.*?-->", "", text or read_bytes(urdf).decode(errors="replace"), flags=re.DOTALL)
@@ -82,9 +82,10 @@ def arm_of(
     return Arm(urdf, moving, robot, _locked(tree, moving), guesses, source, found, notes, tuple(gravity))
 
 
-def _chain(found: Sequence[Chain], number: int | None) -> Chain:
+def _chain(tree: UrdfTree, found: Sequence[Chain], number: int | None) -> Chain:
     if not found:
-        raise RobotError("the URDF has no chain of joints that move by themselves, except grippers; expected an arm")
+        hand = max([*_paths(tree), ["A", "B"]], key=len)
+        raise RobotError(f"the URDF moves nothing but grippers; expected an arm, or --joints {','.join(hand)}")
     if number is not None and number > len(found):
         raise RobotError(f"the URDF has no chain {number}; expected 1 to {len(found)}: {'; '.join(described(found))}")
     return found[(number or 1) - 1]

@@ -55,7 +55,7 @@ def proposal_of(robot: Robot, joints: Sequence[str], name: str, delay: float = 0
     """Return a loop with a delay [s] for the robot; raises TrajectoryError or GainsError if none is within reach."""
     motion = first_motion(robot, joints)
     with phase(f"{name}: computing gains for {plural(robot.n, 'joint')}"):
-        gains = first_gains(robot, 1 / RATE, motion.configurations(64), delay)
+        gains = first_gains(robot, 1 / RATE, motion.configurations(64), delay, joints)
     q_l, q_m = _start(robot, motion, gains.gains)
     steps = least_steps(STEP_MARGIN * fastest_mode(robot, motion.configurations(64)), 1 / RATE)
     return Proposal(motion, gains, q_l, q_m, max(FEWEST_STEPS, steps))
@@ -152,11 +152,13 @@ class FirstGains:
     check: SampledCheck
 
 
-def first_gains(robot: Robot, sample_period: float, configurations: Array, delay: float = 0.0) -> FirstGains:
+def first_gains(
+    robot: Robot, sample_period: float, configurations: Array, delay: float = 0.0, joints: Sequence[str] = ()
+) -> FirstGains:
     """Return the first gains whose loop tolerates DELAY_MARGIN in the whole range, else the most tolerant ones.
 
-    configurations (k, n) [rad]: of the reference. delay [s]: of the loop. Raises GainsError if no trial is stable in
-    the whole range.
+    configurations (k, n) [rad]: of the reference. delay [s]: of the loop. joints: names. Raises GainsError, with the
+    joint of the most variable inertia, if no trial is stable in the whole range.
     """
     best: FirstGains | None = None
     searches: dict[str, GainSearch] = {}
@@ -172,9 +174,12 @@ def first_gains(robot: Robot, sample_period: float, configurations: Array, delay
         if best is not None and best.check.delay_margin >= DELAY_MARGIN:
             return best
     if best is None:
+        M = np.sort([np.diag(robot.M_l(q)) for q in sample_configurations(robot, POSES)], axis=0)
+        i = int(np.argmax(M[-1] / M[0]))
+        inertia = robot.units[i].of(f"{M[0, i]:.3g} to {M[-1, i]:.3g} kg m^2")
         raise GainsError(
-            f"no gains of {TRIALS[0][0]:g} to {TRIALS[-1][0]:g} 1/s are stable at {1 / sample_period:g} Hz in "
-            "the whole range of the joints; expected narrower ranges, where the inertia varies less, or fewer joints"
+            f"no gains of {TRIALS[0][0]:g} to {TRIALS[-1][0]:g} 1/s are stable at {1 / sample_period:g} Hz in the "
+            f"whole range: joint {repr(joints[i]) if joints else i + 1} moves {inertia}; expected less range or joints"
         )
     return best
 

@@ -278,11 +278,10 @@ def late_spring(points: Equilibria, sample_period: float, delay: float = 0.0, jo
     i = int(np.argmax(frequency))
     if frequency[i] < limit:
         return ""
-    unit = "kg" if robot.units[i].position == "m" else "kg m^2"
-    late = f" and a delay of {delay:g} s lag" if delay else " lags"
+    late, carried = f" and a delay of {delay:g} s lag" if delay else " lags", f"{inertia[i]:.3g} kg m^2"
     return (
         f"the spring of joint {repr(joints[i]) if joints else i + 1} with the inertia that it carries "
-        f"({inertia[i]:.3g} {unit}) oscillates at {frequency[i]:.4g} rad/s, and beyond {limit:.4g} rad/s the hold at "
-        f"{1 / sample_period:g} Hz{late} by more than 90 degrees; expected more inertia (that of the tool in "
-        "the URDF), a softer spring, the joint locked, or a faster loop"
+        f"({robot.units[i].of(carried)}) oscillates at {frequency[i]:.4g} rad/s, and beyond {limit:.4g} rad/s the hold "
+        f"at {1 / sample_period:g} Hz{late} by more than 90 degrees; expected more inertia (that of the tool in the "
+        "URDF), a softer spring, the joint locked, or a faster loop"
     )
