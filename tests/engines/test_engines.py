@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 import fjr_core as fjr
 import robot_survey
 from core.oracles.chains import random_urdf
-from fjr_core.errors import FjrError
+from fjr_core.errors import PIP, FjrError
 from fjr_core.simulation.imperfections import Imperfections
 from fjr_msgs_py.scenarios.library import load
 from fjr_plant.engine import engine_kind
@@ -193,7 +193,7 @@ def test_missing_engine_is_refused_before_the_run_with_the_command_that_installs
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr(builtins, "__import__", without)
     said = fjr_here("run", "paper_k31", "--engine", engine, "--lockstep", code=2)
-    assert said.endswith(f"is not installed; expected it from: pip install {engine}\n")
+    assert said.endswith(f"is not installed; expected it from: {PIP} {engine}\n")
 
 
 @MISSING["drake"]

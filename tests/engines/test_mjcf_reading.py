@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from fjr_core.errors import RobotError
+from fjr_core.errors import PIP, RobotError
 from fjr_design.scaffold.arm import Arm, arm_of
 from fjr_engines.mjcf.reading import read_mjcf
 from system.executables import fjr_here
@@ -248,6 +248,6 @@ def test_without_mujoco_the_command_names_the_package(tmp_path: Path, monkeypatc
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     (tmp_path / "lab.xml").write_text(ARM)
-    expected = "mujoco is not installed; expected it from: pip install mujoco"
+    expected = f"mujoco is not installed; expected it from: {PIP} mujoco"
     assert expected in fjr_here("new", str(tmp_path / "lab.xml"), "--output", str(tmp_path), code=1)
     assert expected in fjr_here("export-mjcf", "arm7", str(tmp_path / "out.xml"), code=1)

@@ -327,9 +327,7 @@ def test_every_module_loads_without_matplotlib(tmp_path: Path) -> None:
     assert status == 0, said
 
 
-SENTENCE = (
-    "no C compiler (no-such-cc) is on the path; expected one: apt-get install gcc libc6-dev, or pip install ziglang"
-)
+SENTENCE = "no C compiler (no-such-cc) is on the path; expected one: apt-get install gcc libc6-dev, or "
 
 
 def test_run_and_node_without_a_compiler_end_with_the_sentence_and_write_nothing(
@@ -337,7 +335,7 @@ def test_run_and_node_without_a_compiler_end_with_the_sentence_and_write_nothing
 ) -> None:
     monkeypatch.setenv("CC", "no-such-cc")
     said = fjr_here("run", "paper_k31", "--duration", "1", "--output", str(tmp_path), code=Exit.FAILED)
-    assert said.splitlines()[-1] == f"fjr: {SENTENCE}"
+    assert re.fullmatch(f"fjr: {re.escape(SENTENCE)}.* -m pip install ziglang", said.splitlines()[-1])
     assert not list(tmp_path.iterdir())
     code, said = start("controller").end()
     assert code == 1

@@ -461,7 +461,7 @@ def test_parquet_has_a_header_too_and_other_files_are_refused(tmp_path: Path) ->
 
 def test_missing_pyarrow_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow.csv", None)
-    with pytest.raises(MissingPackageError, match=r"pyarrow is not installed; .*: pip install pyarrow$"):
+    with pytest.raises(MissingPackageError, match=r"pyarrow is not installed; .* -m pip install pyarrow$"):
         written_map(tmp_path / "log.csv", ARM)
 
 

@@ -16,7 +16,7 @@ from cffi import FFI
 
 import fjr_core as fjr
 from core.numerics.processes import COMPILED, CUBES, output, started
-from fjr_core.errors import CompilerError
+from fjr_core.errors import PIP, CompilerError
 from fjr_core.monitoring.certificate import Certificate, CertificateSeries
 from fjr_core.numerics import jit as compiling
 from fjr_core.numerics.jit import declarations, ffi_of
@@ -86,7 +86,7 @@ def test_without_a_compiler_the_virtual_machine_runs_with_one_warning(
     monkeypatch.setitem(sys.modules, "ziglang", None)
     sentence = single_warning(caplog, function)
     assert "no C compiler (cc, gcc, clang) is on the path; expected one: apt-get install gcc" in sentence
-    assert "or pip install ziglang" in sentence
+    assert f"or {PIP} ziglang" in sentence
     law = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
     assert np.isfinite(law.command(np.zeros(4), np.zeros((5, 1)))).all()
 

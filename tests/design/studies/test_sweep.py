@@ -208,7 +208,7 @@ def test_results_without_their_study_file_or_with_a_damaged_one_are_refused(tmp_
 def test_missing_pyarrow_error_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     with (
-        pytest.raises(MissingPackageError, match=r"pyarrow is not installed; .*: pip install pyarrow$"),
+        pytest.raises(MissingPackageError, match=r"pyarrow is not installed; .* -m pip install pyarrow$"),
         opened(tmp_path),
     ):
         pass

@@ -194,7 +194,7 @@ def test_without_a_library_no_page_is_written_and_one_sentence_says_why(
     monkeypatch.setitem(html.ASSETS, name, ("no-such-distribution", ""))
     html.asset.cache_clear()
     try:
-        with pytest.raises(html.AssetError, match=f"^{name} .* is not installed; expected it from: pip .*$"):
+        with pytest.raises(html.AssetError, match=f"^{name} .* is not installed; expected it from: .* -m pip .*$"):
             page(tmp_path / "page.html", **OF_A_PAGE)
     finally:
         html.asset.cache_clear()

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exceptions of the project; every message states what is wrong and what was expected."""
 
+import shlex
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 LONGEST = 2000  # characters; messages may quote values of any size
+PIP = f"{shlex.quote(sys.executable)} -m pip install"  # into the Python that runs: `pip` alone may be of another one
 
 
 class FjrError(Exception):

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.config.scenario import Scenario
-from fjr_core.errors import FjrError, ParameterError, RobotError
+from fjr_core.errors import PIP, FjrError, ParameterError, RobotError
 from fjr_core.numerics.checks import Array
 from fjr_monitor.report.html import ArmReplay, write_page
 from fjr_monitor.report.shown import Shown, arm_replay
@@ -51,7 +51,7 @@ def check(file: Path) -> None:
     if file.suffix.lower() not in ENDINGS:
         raise ParameterError(f"{file} is no film; expected a name that ends with one of {', '.join(ENDINGS)}")
     if find_spec("PIL") is None:
-        raise FilmError(f"{file} needs the Python package Pillow; expected it from: pip install pillow")
+        raise FilmError(f"{file} needs the Python package Pillow; expected it from: {PIP} pillow")
     if file.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
         raise FilmError(f"{file} needs ffmpeg; expected it from: apt-get install ffmpeg, or a name that ends with .gif")
     if not any(map(shutil.which, BROWSERS)) and not backend():

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Protocol
 
 from fjr_core.config.parameter import Values
 from fjr_core.config.plant import ENGINE, OWN, Obstacle
-from fjr_core.errors import ParameterError, RobotError
+from fjr_core.errors import PIP, ParameterError, RobotError
 from fjr_core.model.rigid_arm import Body
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array, is_diagonal
@@ -88,8 +88,7 @@ def engine_kind(values: Values) -> type[Engine] | None:
         kind: type[Engine] = found[name].load()
     except ModuleNotFoundError as error:
         raise ParameterError(
-            f"parameter '{ENGINE.name}' is '{name}', but {error.name} is not installed; expected it from: "
-            f"pip install {name}"
+            f"parameter '{ENGINE.name}' is '{name}', but {error.name} is not installed; expected it from: {PIP} {name}"
         ) from None
     if kind.in_python and not values["lockstep"]:
         raise ParameterError(f"parameter '{ENGINE.name}' is '{name}' in real time; expected lockstep: true")

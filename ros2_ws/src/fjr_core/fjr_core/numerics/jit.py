@@ -27,12 +27,12 @@ import _cffi_backend
 import casadi as ca
 import numpy as np
 
-from ..errors import CompilerError
+from ..errors import PIP, CompilerError
 from .code_cache import cache_folder, code_folder, is_intact, kept
 from .symbolic import bind
 
 NAMES = ("cc", "gcc", "clang")
-REMEDY = "expected one: apt-get install gcc libc6-dev, or pip install ziglang"
+REMEDY = f"expected one: apt-get install gcc libc6-dev, or {PIP} ziglang"
 LONGEST_BUILD = 300.0  # s
 SAME_BITS = ("-ffp-contract=off",)
 """Options without which results depend on the processor: no fused multiply-adds but those that the code names."""

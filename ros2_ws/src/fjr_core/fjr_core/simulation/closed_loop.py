@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import FjrError, StateError, TrajectoryError
+from ..errors import PIP, FjrError, StateError, TrajectoryError
 from ..law.interfaces import SampledLaw, StaticLaw, check_law
 from ..model.joints import Units, joined
 from ..model.port_hamiltonian import Plant
@@ -254,7 +254,7 @@ class Trajectory:
         try:
             from matplotlib import pyplot
         except ImportError as error:
-            sentence = f"Matplotlib cannot be imported ({error}); expected it from: pip install matplotlib"
+            sentence = f"Matplotlib cannot be imported ({error}); expected it from: {PIP} matplotlib"
             raise PlotError(sentence) from None
         figure, ((position, effort), (deviation, storage)) = pyplot.subplots(
             2, 2, sharex=True, figsize=(9, 5), layout="constrained"

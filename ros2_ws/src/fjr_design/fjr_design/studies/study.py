@@ -32,7 +32,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.errors import FjrError, MissingPackageError
+from fjr_core.errors import PIP, FjrError, MissingPackageError
 from fjr_core.files.text_file import is_sealed, read_json, whole_file, write_text
 from fjr_msgs_py.console.ending import Interrupted
 
@@ -57,9 +57,7 @@ def _parquet() -> Any:
     try:
         import pyarrow.parquet
     except ModuleNotFoundError:
-        raise MissingPackageError(
-            "pyarrow is not installed; expected it for the files of a study: pip install pyarrow"
-        ) from None
+        raise MissingPackageError(f"pyarrow is not installed; expected it for a study: {PIP} pyarrow") from None
     return pyarrow
 
 
@@ -292,7 +290,7 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
     except ModuleNotFoundError:
         raise ClusterError(
             "dask.distributed is not installed here; expected it for --scheduler, at the version of the cluster: "
-            "pip install distributed"
+            f"{PIP} distributed"
         ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors are reported here, in one sentence
     try:

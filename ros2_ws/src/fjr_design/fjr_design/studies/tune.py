@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.errors import FjrError, ParameterError
+from fjr_core.errors import PIP, FjrError, ParameterError
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.velocity_observer import VelocityObserver
@@ -289,7 +289,7 @@ def _strategy(dimension: int, seed: int) -> Any:
             warnings.simplefilter("ignore")  # it warns that it will not plot, without Matplotlib
             import cma  # loaded on use: only `fjr tune` needs it
     except ModuleNotFoundError:
-        raise ParameterError("the package cma is not installed; expected it for tuning: pip install cma") from None
+        raise ParameterError(f"the package cma is not installed; expected it for tuning: {PIP} cma") from None
     random = np.random.default_rng(seed)
     options = {
         "bounds": [-WIDEST, WIDEST],

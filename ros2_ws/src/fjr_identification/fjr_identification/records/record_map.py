@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config import ros_yaml
-from fjr_core.errors import LONGEST, MissingPackageError, ParameterError, RecordError, prefixed
+from fjr_core.errors import LONGEST, PIP, MissingPackageError, ParameterError, RecordError, prefixed
 from fjr_core.numerics.checks import Array
 
 ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi, "m": 1.0, "mm": 1e-3}
@@ -212,7 +212,7 @@ def arrow() -> Any:
         import pyarrow.csv
         import pyarrow.parquet
     except ModuleNotFoundError:
-        raise MissingPackageError("pyarrow is not installed; expected it for tables: pip install pyarrow") from None
+        raise MissingPackageError(f"pyarrow is not installed; expected it for tables: {PIP} pyarrow") from None
     return pyarrow
 
 

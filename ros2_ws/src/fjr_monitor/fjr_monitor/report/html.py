@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fjr_core.errors import FjrError
+from fjr_core.errors import PIP, FjrError
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_msgs_py.console.output import milli, number, percent
@@ -198,8 +198,7 @@ class Pool:
 
 def drawable(values: Array, log: bool = False) -> Array:
     """Return the values with NaN for those that an axis cannot show: huge ones, and on a log axis those <= 1e-37."""
-    good = (np.abs(values) < DRAWABLE) & ((values > 1e-37) | (not log))
-    return np.where(good, values, np.nan)
+    return np.where((np.abs(values) < DRAWABLE) & ((values > 1e-37) | (not log)), values, np.nan)
 
 
 class AssetError(FjrError):
@@ -218,7 +217,7 @@ def asset(name: str) -> str:
     except (PackageNotFoundError, OSError):
         raise AssetError(
             f"{name} of the Python package {package}, which draws in a page, is not installed; "
-            f"expected it from: pip install --no-deps {package}"
+            f"expected it from: {PIP} --no-deps {package}"
         ) from None
 
 
@@ -254,5 +253,5 @@ def write_page(
     """Render a template with its values, the plots and the arm, if any; raises AssetError if a library is missing."""
     pool = Pool()
     data: dict[str, Any] = {"plots": [plot.packed(pool) for plot in plots], "arm": arm.packed(pool) if arm else None}
-    data["arrays"] = pool.arrays
+    data["arrays"] = pool.arrays  # now that all are in it
     write_text(path, environment().get_template(template).render(values, title=title, plots=data, arm=arm))

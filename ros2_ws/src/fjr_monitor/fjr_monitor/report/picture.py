@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fjr_core.errors import PIP
 from fjr_monitor.report.html import Line, Plot, drawable
 from fjr_msgs_py.console.output import SUPERSCRIPT, tell
 
@@ -50,7 +51,7 @@ def write_picture(path: Path, size: tuple[float, float], draw: Callable[[Figure]
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
-        tell(f"{path} is left out: Matplotlib is not installed; expected it from: pip install matplotlib")
+        tell(f"{path} is left out: Matplotlib is not installed; expected it from: {PIP} matplotlib")
         return None
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
