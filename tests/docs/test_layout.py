@@ -81,12 +81,12 @@ LAYERS = {
 
 
 BUDGETS = {
-    "fjr_core": 13_150,
+    "fjr_core": 13_320,
     "fjr_msgs_py": 3_650,
-    "fjr_monitor": 7_530,
+    "fjr_monitor": 7_540,
     "fjr_plant": 1_380,
     "fjr_controller": 1_770,
-    "fjr_design": 9_200,
+    "fjr_design": 9_210,
     "fjr_identification": 6_080,
     "fjr_proofs": 4_020,
     "fjr_engines": 1_240,
