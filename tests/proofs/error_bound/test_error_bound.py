@@ -41,9 +41,8 @@ TWO_LINK_GAINS = fjr.Gains(
     16.0, [[32.22, 4.272], [4.272, 4.229]], [[1.697, 0.225], [0.225, 0.2227]], 16.0, [40.0, 25.0], [0.32, 0.16]
 )
 TWO_LINK_SWING = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
-EACH_SECOND = fjr.Sine(0.3, 2 * np.pi)  # a period of 1000 samples
-TWO_LINK_EACH_SECOND = fjr.Sine([0.2, 0.3], 2 * np.pi, [0.3, 0.0])
-
+FAST = fjr.Sine(0.1, 5 * np.pi)  # a period of 400 samples
+TWO_LINK_FAST = fjr.Sine([0.2, 0.3], 2 * np.pi, [0.3, 0.0])
 
 FACTORS = [name for name in PARAMETERS if DEVIATIONS[name].is_factor]
 
@@ -59,7 +58,7 @@ def two_link() -> fjr.TrackingLaw:
 @cache
 def paper(delay: float, prove: bool | None = None, **errors: float) -> ErrorBound:
     """Return the bound of the paper's joint along a reference with a short period."""
-    return bound_errors(joint(), EACH_SECOND, T, delay, errors, payload_position=PLACE, prove=prove)
+    return bound_errors(joint(), FAST, T, delay, errors, payload_position=PLACE, prove=prove)
 
 
 OF_THE_LINKS = {
@@ -71,13 +70,13 @@ OF_THE_LINKS = {
 }
 CASES = [
     (joint, SWING, 0.4 * T, {"stiffness": 0.05, "motor_inertia": 0.05}),
-    (joint, EACH_SECOND, 1.4 * T, OF_THE_LINKS),
-    (two_link, TWO_LINK_EACH_SECOND, T, {"link_mass": [0.05, 0.02], "stiffness": [0.02, 0.02]}),
+    (joint, FAST, 1.4 * T, OF_THE_LINKS),
+    (two_link, TWO_LINK_FAST, T, {"link_mass": [0.05, 0.02], "stiffness": [0.02, 0.02]}),
 ]
 """A joint and two links, samples beside the period and on it, delays below and above a sample."""
 MORE = [
     (joint, SWING, T, {"payload": 0.2, "link_damping": 0.3, "motor_damping": 0.3, "gravity": 0.05}),
-    (joint, EACH_SECOND, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
+    (joint, FAST, 1.4 * T, {"stiffness": 0.2, "motor_inertia": 0.05}),
     (two_link, TWO_LINK_SWING, T, {}),
     (two_link, TWO_LINK_SWING, T, {"payload_mass": 0.1, "link_mass": 0.05, "motor_inertia": [0.1, 0.0]}),
 ]
@@ -86,24 +85,25 @@ MORE = [
 def class_of(
     law: fjr.TrackingLaw, reference: Reference, delay: float, errors: dict[str, Any], duration: float | None = None
 ) -> UncertainLoop:
-    """Return the loop for 4 s, or for a period of EACH_SECOND after 1 s in which its transients decay."""
-    lasting = duration or (2.0 if reference in (EACH_SECOND, TWO_LINK_EACH_SECOND) else 4.0)
+    """Return the loop for 4 s, or for a period of a fast motion after 1 s in which its transients decay."""
+    lasting = duration or {FAST: 1.4, TWO_LINK_FAST: 2.0}.get(reference, 4.0)
     return UncertainLoop(law, reference, T, delay, errors, 1.0, lasting, PLACE)
 
 
 @pytest.mark.parametrize(
-    ("law", "reference", "delay", "errors"),
-    [*CASES, *(pytest.param(*case, marks=pytest.mark.full) for case in MORE)],
+    ("law", "reference", "delay", "errors", "searches"),
+    [*((*case, 0) for case in CASES), *(pytest.param(*case, 1, marks=pytest.mark.full) for case in (*CASES, *MORE))],
 )
 def test_no_robot_within_the_errors_exceeds_a_proven_bound_which_is_at_most_twice_as_large(
-    law, reference, delay, errors
+    law, reference, delay, errors, searches
 ) -> None:
+    """Half of the drawn robots have every error at an end of its range; `make test-all` searches for worse ones."""
     made = law()
     bound = bound_errors(made, reference, T, delay, errors, payload_position=PLACE)
     loop = class_of(made, reference, delay, errors)
     steady, whole = drawn(loop, 40 if errors else 1)
-    found = loop.worst(1, 3, bound.position)[0] if errors else steady.max(axis=0)
-    seen = np.maximum(steady.max(axis=0), found)
+    found = loop.worst(searches, 3, bound.position) if searches and errors else []
+    seen = np.max([*found, steady.max(axis=0)], axis=0)
     assert bound.proven
     assert np.all(seen <= bound.position)
     assert np.all(whole.max(axis=0) <= bound.from_start)
@@ -249,11 +249,11 @@ def test_a_robot_of_another_weight_rests_within_its_bound(factor: float) -> None
 
 
 def test_stated_errors_are_those_of_the_robot_file_times_a_number_of_standard_deviations() -> None:
-    said = ("link_coulomb_friction:=0.01", "link_torque:=0.02", "link_mass:=0.04", "joint_stiffness:=0.03")
-    short = f"reference.frequency:=[{2 * np.pi}]"  # a period of 1000 samples
-    scenario = library.load("paper_k31", [short, *(f"robot.deviations.{each.replace(':=', ':=[')}]" for each in said)])
-    found = errors_bounded(scenario, {"stated": 2.0, "link_damping": 0.1}, 1.0, prove=False).values
-    expected = {"link_mass": [0.08], "stiffness": [0.06], "link_damping": 0.1, "link_torque": 0.06}
+    said = ("link_coulomb_friction:=0.01", "link_torque:=0.02", "link_mass:=0.01", "joint_stiffness:=0.005")
+    fast = [f"reference.frequency:=[{5 * np.pi}]", "reference.amplitude:=[0.1]"]  # a period of 400 samples
+    scenario = library.load("paper_k31", [*fast, *(f"robot.deviations.{each.replace(':=', ':=[')}]" for each in said)])
+    found = errors_bounded(scenario, {"stated": 2.0, "link_damping": 0.02}, 1.0, prove=False).values
+    expected = {"link_mass": [0.02], "stiffness": [0.01], "link_damping": 0.02, "link_torque": 0.06}
     assert found["errors"] == {name: pytest.approx(size) for name, size in expected.items()}
     bound = bound_errors(scenario.law, scenario.reference, T, T, expected, prove=False)
     assert found["position"]["joint1"] == pytest.approx(bound.position[0])
@@ -280,10 +280,10 @@ def test_delay_and_every_error_enlarge_the_bound(prove: bool | None) -> None:
 
 def test_no_robot_with_a_delay_within_its_error_exceeds_the_bound() -> None:
     made, errors = joint(), {"payload": 0.1}
-    bound = bound_errors(made, EACH_SECOND, T, 0.5 * T, errors | {"delay": 0.5})
+    bound = bound_errors(made, FAST, T, 0.5 * T, errors | {"delay": 0.5})
     assert bound.proven
     for delay in (0.0, 0.3 * T, T):
-        steady, whole = drawn(class_of(made, EACH_SECOND, delay, errors), 20)
+        steady, whole = drawn(class_of(made, FAST, delay, errors), 20)
         assert np.all(steady <= bound.position)
         assert np.all(whole <= bound.from_start)
         assert np.all(bound.position <= 1.5 * steady.max())
@@ -307,7 +307,7 @@ def test_bounds_reproduce_themselves_where_the_loop_gain_is_below_1(scale: float
 def test_motions_between_samples_exceed_those_at_their_ends_by_no_more_than_stated() -> None:
     """The linear model of a cell, under an effort that is held and torques that jump between their bounds."""
     linear, steps = (
-        Search(DeviationModel(two_link()), TWO_LINK_EACH_SECOND, T, T, np.zeros(4), True).linear(np.zeros(0)),
+        Search(DeviationModel(two_link()), TWO_LINK_FAST, T, T, np.zeros(4), True).linear(np.zeros(0)),
         50,
     )
     A, links, (B, E) = linear.A[7], linear.links, (inputs[7] for inputs in linear.inputs)
@@ -379,8 +379,8 @@ def test_errors_too_large_for_a_tube_give_no_bound() -> None:
 
 @pytest.mark.parametrize(
     ("reference", "errors"),
-    [(fjr.Sine(1.0, 8.0), dict.fromkeys(FACTORS, 0.3)), (STILL, {"payload": 0.45, "link_central_inertia": 0.45})],
-    ids=["millions of parts", "a divisor whose interval contains zero"],
+    [(fjr.Sine(1.0, 8.0), dict.fromkeys(FACTORS, 0.3)), (STILL, {"payload": 0.9, "link_mass": 0.9})],
+    ids=["millions of parts", "links nearly without inertia"],
 )
 def test_several_large_errors_are_bounded_or_have_no_bound(reference: Reference, errors: dict[str, float]) -> None:
     found = bound_errors(joint(), reference, T, 5 * T, errors)
@@ -448,7 +448,7 @@ def test_what_cannot_be_bounded_is_refused(arguments: tuple[Any, ...], words: st
 
 def test_time_that_is_over_ends_the_division() -> None:
     errors = {"stiffness": 0.3}
-    whole, cut = (bound_errors(joint(), EACH_SECOND, T, T, errors, prove=False, seconds=s) for s in (np.inf, 1e-9))
+    whole, cut = (bound_errors(joint(), FAST, T, T, errors, prove=False, seconds=s) for s in (np.inf, 1e-9))
     assert whole.parts > 1
     assert cut.parts == 1
     assert np.all(cut.position >= whole.position)
