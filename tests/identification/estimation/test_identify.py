@@ -151,7 +151,7 @@ def test_without_gravity_the_motor_side_reveals_the_stiffness_by_its_resonance_a
 def test_without_the_motor_position_the_offset_is_not_told_however_wide_its_prior_and_many_the_segments() -> None:
     joint, robot, (u, q_l, q_m) = ElasticJoint(), robot_like(ElasticJoint()), usual_record()
     record = noisy(u, q_l, None, 4e-3, sensed(joint, q_l, q_m), noise=2e-6)
-    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), IdentifyOptions(segment=0.1))
+    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), IdentifyOptions(segment=0.2))
     assert found.value("joint_stiffness") == pytest.approx(joint.K, rel=0.02)
     offset = next(each for each in found.estimates if each.name == "offset")
     assert (offset.verdict, offset.value) == (UNKNOWN, 0.0)

@@ -19,6 +19,7 @@ from fjr_monitor.diagnosis.delay_estimation import needed
 from fjr_monitor.diagnosis.diagnosis import diagnose, innovations, with_findings
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
+from fjr_monitor.diagnosis.verdict import Diagnosis
 from fjr_msgs_py.scenarios import library
 from fuzzing import refused
 from monitor.diagnosis.loops import PERIOD, recorded
@@ -50,10 +51,16 @@ def record(delay: float = 0.0, measured: bool = False, **robot: float) -> Record
     )
 
 
+@cache
+def verdict_of(delay: float = 0.0, measured: bool = False, **robot: float) -> Diagnosis:
+    """Diagnose `record` of the same arguments."""
+    return diagnose(record(delay, measured, **robot), LAW)
+
+
 def test_a_record_of_lists_is_that_of_arrays_and_one_of_words_is_refused() -> None:
     seen = record()
     lists = replace(seen, **{name: values.tolist() for name, values in seen.columns.items()}, effort_limit=[np.inf])
-    assert diagnose(lists, LAW) == diagnose(seen, LAW)
+    assert diagnose(lists, LAW) == verdict_of()
     assert replace(lists, u=seen.u).u is seen.u
     refused(fjr.StateError, lambda: replace(seen, u=[["a"]] * len(seen)), "u is [['a'], ", "expected numbers")
 
@@ -81,7 +88,7 @@ def test_exact_model_predicts_the_next_state() -> None:
 
 @pytest.mark.parametrize("measured", [False, True])
 def test_healthy_run_is_holding(measured: bool) -> None:
-    verdict = diagnose(record(measured=measured), LAW)
+    verdict = verdict_of(measured=measured)
     assert (verdict.kind, verdict.causes) == ("holding", ())
     assert verdict.figures["violated share"] == 0.0
     assert verdict.figures["spectral radius"] < 1
@@ -241,7 +248,7 @@ def test_a_settled_error_beyond_tolerance_or_twice_the_foreseen_one_does_not_hol
 
 def test_a_run_with_a_finding_does_not_hold_however_small_its_error() -> None:
     fault = Finding("inertia", "joint1", "motor", 8e-5, "kg m^2", 1.0, "motor of joint1: inertia")
-    verdict = with_findings(diagnose(record(), LAW), (fault,))
+    verdict = with_findings(verdict_of(), (fault,))
     assert (verdict.kind, verdict.causes, verdict.findings) == ("degraded", ("model mismatch",), (fault,))
     assert fault.sentence in verdict.sentence
 
@@ -299,7 +306,7 @@ def test_attributed_error_is_the_difference_to_the_run_without_the_cause(
 ) -> None:
     run = record(**changed)
     made = np.abs(tracking(run) - tracking(record())).max()
-    verdict = diagnose(run, LAW)
+    verdict = verdict_of(**changed)
     assert verdict.kind in ("degraded", "violated")
     assert verdict.causes == (cause,)
     assert said in verdict.sentence
@@ -308,8 +315,7 @@ def test_attributed_error_is_the_difference_to_the_run_without_the_cause(
 
 
 def test_the_grade_compares_the_error_with_the_tolerance() -> None:
-    run = record(stiffness=29.0)
-    error = diagnose(run, LAW).errors["model mismatch"][0]
+    run, error = record(stiffness=29.0), verdict_of(stiffness=29.0).errors["model mismatch"][0]
     for factor, kind in ((0.8, "violated"), (1.3, "degraded")):
         axes = JointTolerances(("elbow",), ("m",), np.array([factor * error]))
         verdict = diagnose(run, LAW, axes=axes)
