@@ -34,7 +34,7 @@ def recorded(
     commanded: Callable[[Array], Array] = lambda u: u,
     acting: Callable[[Array], Array] = lambda u: u,
     limit: float = np.inf,
-    steps: int = 4,
+    steps: int = 2,
 ) -> Record:
     """Return the record of a loop from the state x on, or until its robot has diverged.
 

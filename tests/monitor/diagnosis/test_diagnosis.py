@@ -102,30 +102,34 @@ def test_delay_is_detected_and_estimated_from_the_motion(delay: float) -> None:
     assert verdict.figures["effort age"] == pytest.approx(delay, abs=0.02 * PERIOD)
 
 
-def test_known_latency_within_a_sample_is_holding_and_more_is_a_delay() -> None:
-    """In real time the previous effort acts until the new one arrives; known send times account for that."""
-    latency = 0.2e-3
-    late = record(delay=latency)
-    known = replace(late, sent=late.t, answered=late.t + latency)
-    assert diagnose(late, LAW).causes == ("delay",)
-    assert diagnose(known, LAW).kind == "holding"
-    assert diagnose(replace(known, answered=late.t + latency + 0.1e-3), LAW).kind == "holding"
-    later = replace(record(delay=latency + 2e-3), sent=late.t, answered=late.t + latency)
-    assert diagnose(later, LAW).causes == ("delay",)
-    for seen, delay in (
-        (known, latency),
-        (later, latency + 2e-3),
-    ):  # the age, as the delay margin, counts from the state
-        assert diagnose(seen, LAW).figures["effort age"] == pytest.approx(delay, abs=0.06 * PERIOD)
-    other = replace(record(delay=latency, stiffness=29.0), sent=late.t, answered=late.t + latency)
-    assert diagnose(other, LAW).causes[0] == "model mismatch"
+@pytest.mark.parametrize(
+    ("more", "known", "kind", "cause"),
+    [(0.0, 0.2e-3, "holding", ""), (0.0, 0.3e-3, "holding", ""), (2e-3, 0.2e-3, "degraded", "delay")],
+)
+def test_known_latency_within_a_sample_is_holding_and_more_is_a_delay(
+    more: float, known: float, kind: str, cause: str
+) -> None:
+    """In real time the previous effort acts until the new one arrives; known send times account for that.
+
+    The age of the effort, as the delay margin, counts from the state.
+    """
+    late = record(delay=0.2e-3 + more)
+    verdict = diagnose(replace(late, sent=late.t, answered=late.t + known), LAW)
+    assert (verdict.kind, *verdict.causes) == (kind, *([cause] if cause else []))
+    assert verdict.figures["effort age"] == pytest.approx(0.2e-3 + more, abs=0.06 * PERIOD)
+
+
+def test_a_latency_that_is_not_known_is_a_delay_and_a_known_one_hides_no_mismatch() -> None:
+    assert verdict_of(delay=0.2e-3).causes == ("delay",)
+    other = record(delay=0.2e-3, stiffness=29.0)
+    assert diagnose(replace(other, sent=other.t, answered=other.t + 0.2e-3), LAW).causes[0] == "model mismatch"
 
 
 @pytest.mark.parametrize("measured", [False, True])
 def test_an_effort_that_acts_before_its_known_latency_is_no_fault_of_the_robot(measured: bool) -> None:
     """A plant in real time applies a command from its last inner step on: the middleware's times are later."""
     soft = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS)
-    seen = recorded(soft, REFERENCE, soft.robot.state(0.5, 0.5, 0.0, 0.0), round(DURATION / PERIOD))
+    seen = run(soft)
     applied = np.vstack([seen.u[:1], seen.u[:-1]]) if measured else None
     verdict = diagnose(replace(seen, sent=seen.t, answered=seen.t + 0.09e-3, u_applied=applied), soft)
     assert (verdict.kind, verdict.findings) == ("holding", ())
@@ -141,19 +145,17 @@ def test_missing_states_are_a_loss() -> None:
     assert verdict.figures["gaps"] == len(real.t) - 1
 
 
+def run(law: fjr.TrackingLaw = LAW, **faults: Any) -> Record:
+    """Record the loop with faults of sensors or efforts (loops.recorded)."""
+    return recorded(law, REFERENCE, law.robot.state(0.5, 0.5, 0.0, 0.0), round(DURATION / PERIOD), **faults)
+
+
 @cache
 def looped(noise: float = 0.0, limit: float = np.inf) -> Record:
     """Run the loop with white velocity noise [rad/s] and the effort saturated at the limit [N m]."""
     rng = np.random.default_rng(7)
-    return recorded(
-        LAW,
-        REFERENCE,
-        LAW.robot.state(0.5, 0.5, 0.0, 0.0),
-        round(DURATION / PERIOD),
-        sensed=lambda q, dq: (q, dq + noise * rng.standard_normal(2)),
-        commanded=lambda u: np.clip(u, -limit, limit),
-        limit=limit,
-    )
+    noisy = lambda q, dq: (q, dq + noise * rng.standard_normal(2))  # noqa: E731
+    return run(sensed=noisy, commanded=lambda u: np.clip(u, -limit, limit), limit=limit)
 
 
 def test_effort_at_its_limit_is_saturation() -> None:
@@ -189,7 +191,7 @@ def test_effort_at_its_largest_rate_is_saturation() -> None:
         last[:] = np.clip(u, last - 0.02, last + 0.02)
         return last.copy()
 
-    seen = recorded(LAW, REFERENCE, LAW.robot.state(0.5, 0.5, 0.0, 0.0), 2500, commanded=slow)
+    seen = run(commanded=slow)
     assert diagnose(seen, LAW).kind == "unknown"
     assert diagnose(replace(seen, effort_rate=20.0), LAW).causes == ("saturation",)
 
@@ -263,15 +265,8 @@ def test_delay_is_estimated_under_the_noise_of_encoders_and_compared_with_its_ma
         sent.append(u)
         return sent[max(0, len(sent) - 1 - int(rng.choice(most if isinstance(most, tuple) else [most])))]
 
-    seen = recorded(
-        LAW,
-        REFERENCE,
-        LAW.robot.state(0.5, 0.5, 0.0, 0.0),
-        round(DURATION / PERIOD),
-        sensed=lambda q, dq: tuple(np.split(np.concatenate([q, dq]) + noise * rng.standard_normal(4), 2)),  # type: ignore[return-value]
-        acting=acting,
-    )
-    verdict = diagnose(seen, LAW)
+    noisy = lambda q, dq: np.split(np.concatenate([q, dq]) + noise * rng.standard_normal(4), 2)  # noqa: E731
+    verdict = diagnose(run(sensed=noisy, acting=acting), LAW)
     samples = float(np.mean(most))
     assert most != 4 or (verdict.kind, verdict.causes[0]) == ("degraded", "delay")
     assert verdict.figures["effort age"] == pytest.approx(samples * PERIOD, abs=0.05 * PERIOD)
@@ -304,8 +299,7 @@ def tracking(seen: Record) -> Array:
 def test_attributed_error_is_the_difference_to_the_run_without_the_cause(
     cause: str, said: str, changed: dict[str, float]
 ) -> None:
-    run = record(**changed)
-    made = np.abs(tracking(run) - tracking(record())).max()
+    made = np.abs(tracking(record(**changed)) - tracking(record())).max()
     verdict = verdict_of(**changed)
     assert verdict.kind in ("degraded", "violated")
     assert verdict.causes == (cause,)
@@ -315,19 +309,17 @@ def test_attributed_error_is_the_difference_to_the_run_without_the_cause(
 
 
 def test_the_grade_compares_the_error_with_the_tolerance() -> None:
-    run, error = record(stiffness=29.0), verdict_of(stiffness=29.0).errors["model mismatch"][0]
+    error = verdict_of(stiffness=29.0).errors["model mismatch"][0]
     for factor, kind in ((0.8, "violated"), (1.3, "degraded")):
         axes = JointTolerances(("elbow",), ("m",), np.array([factor * error]))
-        verdict = diagnose(run, LAW, axes=axes)
+        verdict = diagnose(record(stiffness=29.0), LAW, axes=axes)
         assert verdict.kind == kind
         assert f"{1e3 * error:.2g} mm at elbow" in verdict.detail
 
 
 def test_encoder_offset_of_0p1_mrad_is_degraded() -> None:
     """No signal measures the offset; the error that it causes in the measured positions is within the tolerance."""
-    start, offset = LAW.robot.state(0.5, 0.5, 0.0, 0.0), np.array([1e-4, 0.0])
-    samples = round(DURATION / PERIOD)
-    seen = recorded(LAW, REFERENCE, start, samples, sensed=lambda q, dq: (q + offset, dq), steps=1)
+    seen = run(sensed=lambda q, dq: (q + [1e-4, 0.0], dq), steps=1)
     verdict = diagnose(seen, LAW)
     assert verdict.kind == "degraded"
     assert verdict.errors["model mismatch"][0] == pytest.approx(np.abs(tracking(seen)).max(), rel=EXPLAINED)

@@ -60,7 +60,7 @@ def record(
         return np.array(wiring) @ efforts.pop(0)
 
     start = real.state([offset] * 2, [offset] * 2, [0, 0], [0, 0])
-    return recorded(LAW, REFERENCE, start, samples, real, acting=acting, steps=2)
+    return recorded(LAW, REFERENCE, start, samples, real, acting=acting)
 
 
 def growth(seen: Record) -> float:
