@@ -246,10 +246,14 @@ LONGEST_BACKLOG = plant_program().lib.FJR_LONGEST_BACKLOG
 class Player:
     """Publish /clock to a plant, one message at a time."""
 
-    def __init__(self, ros: Ros, peer: Peer, **parameters: object) -> None:
+    def __init__(self, ros: Ros, peer: Peer, begun: int = 0, **parameters: object) -> None:
+        """begun: samples from 50 s on that are played at once, after a first message with that time."""
         self._ros, self._peer = ros, peer
         self._publisher = peer.create_publisher(Clock, "/clock", 1)
         self.node = ros.plant(use_sim_time=True, **parameters)
+        if begun:
+            self.play(50 * SECOND)
+            self.run(50 * SECOND, begun)
 
     def play(self, time: int) -> None:
         """Publish a time [ns] and wait until the plant has processed it."""
@@ -258,6 +262,12 @@ class Player:
         self._publisher.publish(message)
         self._ros.until(lambda: self.node.get_clock().now().nanoseconds == time, "the clock")
         self._ros.settle(5)
+
+    def command(self, effort: float) -> None:
+        """Publish a command and wait until the plant has received it."""
+        before = self.node._health.count["commands received"]
+        self._peer.effort_publisher.publish(command(effort))
+        self._ros.until(lambda: self.node._health.count["commands received"] == before + 1, "the command")
 
     def run(self, start: int, samples: int) -> list[int]:
         """Publish a number of periods from `start` on; return the stamps of the states received."""
@@ -289,8 +299,7 @@ def test_commands_act_and_end_by_the_clock(ros: Ros, peer: Peer) -> None:
     player = Player(ros, peer, command_timeout=0.005)
     player.run(50 * SECOND, 2)
     start = state_of(peer.states[-1])
-    peer.effort_publisher.publish(command(0.3))
-    ros.until(lambda: player.node._health.count["commands received"] == 1)
+    player.command(0.3)
     ros.settle(200)
     assert nanoseconds(peer.states[-1]) == 50 * SECOND + 2 * PERIOD, "the clock must not have advanced"
     player.run(50 * SECOND + 2 * PERIOD, 20)
@@ -299,19 +308,26 @@ def test_commands_act_and_end_by_the_clock(ros: Ros, peer: Peer) -> None:
     assert player.node._health.count["command timeouts"] == 1
 
 
-@pytest.mark.parametrize(("after", "delay"), [(1, 0), (100_000, 0), (INNER, 0), (100_000, 300_000), (INNER, 2 * INNER)])
-def test_a_command_acts_from_the_first_inner_step_at_or_after_its_arrival(
-    ros: Ros, peer: Peer, after: int, delay: int
+@pytest.mark.parametrize(
+    ("earlier", "after", "delay"),
+    [
+        (1, 1, 0),
+        (100_000, 100_000, 0),
+        (INNER, INNER, 0),
+        (INNER // 2, INNER, 0),  # the later one acts at once
+        (100_000, 100_000, 300_000),
+        (INNER, INNER, 2 * INNER),
+    ],
+)
+def test_a_command_acts_from_the_first_inner_step_at_or_after_its_arrival_and_replaces_one_that_has_not_acted(
+    ros: Ros, peer: Peer, earlier: int, after: int, delay: int
 ) -> None:
-    """Never earlier: it answers a state of before. after, delay [ns]: since a tick, and of its channel."""
-    player = Player(ros, peer, wait_for_command=False, imperfections__command_delay=delay * 1e-9)
-    player.play(50 * SECOND)
-    player.run(50 * SECOND, 2)
+    """Never earlier: it answers a state of before. earlier, after, delay [ns]: since a tick, and of its channel."""
+    player = Player(ros, peer, begun=2, wait_for_command=False, imperfections__command_delay=delay * 1e-9)
     x = state_of(peer.states[-1])
-    player.play(50 * SECOND + 2 * PERIOD + after)
-    for effort in (0.2, 0.3):  # the second one replaces the first
-        peer.effort_publisher.publish(command(effort))
-        ros.until(lambda effort=effort: player.node._health.count["commands received"] == round(10 * effort) - 1)
+    for arrival, effort in ((earlier, 0.2), (after, 0.3)):
+        player.play(50 * SECOND + 2 * PERIOD + arrival)
+        player.command(effort)
     player.run(50 * SECOND + 3 * PERIOD, 2)
     before = -(-(after + delay) // INNER)
     expected = integrate(integrate(x, 0.0, before), 0.3, 12 - before)
@@ -319,36 +335,17 @@ def test_a_command_acts_from_the_first_inner_step_at_or_after_its_arrival(
     np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
 
 
-def test_a_command_that_acts_at_once_replaces_an_earlier_one_that_has_not_acted(ros: Ros, peer: Peer) -> None:
-    player = Player(ros, peer, wait_for_command=False)
-    player.play(50 * SECOND)
-    player.run(50 * SECOND, 2)
-    x = state_of(peer.states[-1])
-    for count, (after, effort) in enumerate([(INNER // 2, 0.2), (INNER, 0.3)], start=1):
-        player.play(50 * SECOND + 2 * PERIOD + after)
-        peer.effort_publisher.publish(command(effort))
-        ros.until(lambda count=count: player.node._health.count["commands received"] == count)
-    player.run(50 * SECOND + 3 * PERIOD, 2)
-    expected = integrate(integrate(x, 0.0, 1), 0.3, 11)
-    np.testing.assert_allclose(state_of(peer.states[-1]), expected, rtol=1e-12)
-
-
 def test_a_reset_forgets_a_command_that_has_not_acted(ros: Ros, peer: Peer) -> None:
-    player = Player(ros, peer, wait_for_command=False, restart_silence=0.0)
-    player.play(50 * SECOND)
-    player.run(50 * SECOND, 2)
+    player = Player(ros, peer, begun=2, wait_for_command=False, restart_silence=0.0)
     player.play(50 * SECOND + 2 * PERIOD + 1)
-    peer.effort_publisher.publish(command(0.3))
-    ros.until(lambda: player.node._health.count["commands received"] == 1)
+    player.command(0.3)
     peer.reset()
     player.run(50 * SECOND + 3 * PERIOD, 5)
     assert_one_motion(peer.states[-5:], effort=0.0)
 
 
 def test_forward_jump_is_integrated_partly_and_counted(ros: Ros, peer: Peer) -> None:
-    player = Player(ros, peer, wait_for_command=False)
-    player.play(50 * SECOND)
-    player.run(50 * SECOND, 5)
+    player = Player(ros, peer, begun=5, wait_for_command=False)
     count, before = len(peer.states), nanoseconds(peer.states[-1])
     player.play(51 * SECOND)
     assert [nanoseconds(state) for state in peer.states[count:]] == [before + LONGEST_BACKLOG]
@@ -359,9 +356,7 @@ def test_forward_jump_is_integrated_partly_and_counted(ros: Ros, peer: Peer) -> 
 
 
 def test_stamps_continue_from_the_new_time_after_a_far_jump_of_the_clock(ros: Ros, peer: Peer, capfd) -> None:
-    player = Player(ros, peer, wait_for_command=False)
-    player.play(50 * SECOND)
-    player.run(50 * SECOND, 5)
+    player = Player(ros, peer, begun=5, wait_for_command=False)
     assert_one_motion(peer.states)
     count = len(peer.states)
     assert player.run(60 * SECOND, 4) == [60 * SECOND + k * PERIOD for k in range(5)]
@@ -396,9 +391,7 @@ def test_a_reset_after_a_jump_back_returns_to_a_time_of_the_clock(ros: Ros, peer
 
 @pytest.mark.parametrize("jump", [1, -1])
 def test_a_pause_outlasts_a_jump_of_the_clock(ros: Ros, peer: Peer, jump: int) -> None:
-    player = Player(ros, peer, wait_for_command=False, restart_silence=0.0)
-    player.play(50 * SECOND)
-    player.run(50 * SECOND, 5)
+    player = Player(ros, peer, begun=5, wait_for_command=False, restart_silence=0.0)
     x, count = state_of(peer.states[-1]), len(peer.states)
     peer.pause(True)
     start = (50 + 40 * jump) * SECOND
