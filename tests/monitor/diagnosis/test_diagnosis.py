@@ -25,7 +25,7 @@ from fuzzing import refused
 from monitor.diagnosis.loops import PERIOD, recorded
 
 DURATION = 2.5
-LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
 REFERENCE = fjr.Sine(1.0, 1.0)
 
 

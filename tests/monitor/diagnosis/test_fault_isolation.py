@@ -39,7 +39,7 @@ SWING = fjr.Sine([0.5, 0.7], [2.0, 3.0], [0.3, 0.0])
 
 @cache
 def law() -> fjr.TrackingLaw:
-    return fjr.TrackingLaw(MODEL, fjr.synthesize(MODEL, 8.0, PERIOD))
+    return fjr.TrackingLaw(MODEL, fjr.synthesize(MODEL, 8.0, PERIOD), compile=True)
 
 
 def record(robot: fjr.Robot = MODEL, **faults: Any) -> Record:
@@ -139,14 +139,15 @@ def lift(forearm: float = 1.0, **damping: tuple[float, float]) -> fjr.Robot:
 def test_a_fault_of_an_arm_with_a_prismatic_joint_has_the_unit_of_its_joint(
     fault: dict[str, Any], kind: str, joint: str, size: float, unit: str
 ) -> None:
-    law = fjr.TrackingLaw(lift(), fjr.synthesize(lift(), 6.0, PERIOD))
+    law = fjr.TrackingLaw(lift(), fjr.synthesize(lift(), 6.0, PERIOD), compile=True)
     reference = fjr.Sine([0.05, 0.4], [3.0, 3.0])
     start = lift().state(0.0, np.linalg.solve(lift().K, lift().grad_P_l(np.zeros(2))), [0.15, 1.2], [0.15, 1.2])
     seen = recorded(law, reference, start, round(DURATION / PERIOD), **fault)
     (finding,) = diagnose(seen, law, axes=replace(JointTolerances.plain(2), names=("lift", "elbow"))).findings
     kinds = finding.kind.split(" or ")
     assert (kind in kinds, finding.joint, finding.unit) == (True, joint, unit), finding.sentence
-    assert kind != kinds[0] or finding.size == pytest.approx(size, rel=0.05)
+    # An offset of the link of a lift is the opposite one of its motor: the weight is the same everywhere.
+    assert kind != kinds[0] or abs(finding.size) == pytest.approx(size, rel=0.05)
     assert "eccentricity" not in finding.sentence
 
 
@@ -229,7 +230,8 @@ def test_begin_is_told_by_the_stamps_across_a_gap_and_in_a_long_record(samples: 
 def test_a_motor_of_a_differential_is_named(joint: int, kind: str) -> None:
     """Each of its motors drives both joints."""
     model = replace(MODEL, B_m=np.array([[1.0, 1.0], [1.0, -1.0]]))
-    controlled, one = fjr.TrackingLaw(model, fjr.synthesize(model, 8.0, PERIOD)), np.eye(2)[joint]
+    controlled = fjr.TrackingLaw(model, fjr.synthesize(model, 8.0, PERIOD), compile=True)
+    one = np.eye(2)[joint]
 
     def acting(u: Array) -> Array:
         return u * (1 - 0.1 * one) if kind == "torque constant" else np.clip(u, *(s / (one + 1e-9) for s in (-3, 3)))
@@ -245,7 +247,7 @@ def test_a_fault_of_a_prismatic_joint_has_its_units(changed: str, unit: str) -> 
     """The equations are those of the two-link arm, of whose first joint metres are said."""
     real = replace(MODEL, **{changed: getattr(MODEL, changed) * [[1.2], [1.0]] * [[1.2, 1.0]]})
     sliding = replace(MODEL, prismatic=(True, False))
-    controlled = fjr.TrackingLaw(sliding, law().gains)
+    controlled = fjr.TrackingLaw(sliding, law().gains, compile=True)
     (finding,) = diagnose(record(real), controlled, axes=replace(AXES, units=("m", "rad"))).findings
     assert (finding.joint, finding.unit) == ("shoulder", unit)
     assert f" {unit} explains" in finding.sentence

@@ -13,7 +13,7 @@ from fjr_monitor.diagnosis.verdict import Diagnosis
 from monitor.diagnosis.loops import Certified
 
 PERIOD, BETA = 1e-3, 10.0
-LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS)
+LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
 REFERENCE = fjr.Sine(1.0, 1.0)
 
 

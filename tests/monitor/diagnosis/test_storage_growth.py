@@ -33,7 +33,7 @@ GAINS = fjr.Gains(
     Pi_m=[40.0, 25.0],
     K_md=[0.32, 0.16],
 )
-LAW = fjr.TrackingLaw(ROBOT, GAINS)
+LAW = fjr.TrackingLaw(ROBOT, GAINS, compile=True)
 BALANCE = Certificate(LAW)
 REFERENCE = fjr.Sine([0.5, 0.7], [2.0, 3.0])
 NOMINAL = ((1.0, 0.0), (0.0, 1.0))
