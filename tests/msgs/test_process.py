@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -13,11 +15,13 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from fjr_msgs_py.console.ending import stoppable
 from fjr_msgs_py.node import process
 from fjr_msgs_py.node.loading import ament_index_of_wheels, middleware_of_wheels
 from fjr_msgs_py.node.reports import Health
 from msgs.child import run, run_node
 from nodes.harness import Ros
+from time_limits import HANG
 
 FALLING = """
         self.calls = []
@@ -152,6 +156,28 @@ def test_the_end_of_a_process_in_its_own_session_is_that_of_the_command(ends: st
     done = run(OWN_SESSION, ends)
     assert done.stdout == f"True\n{code}\n"
     assert done.stderr == ("fjr: the recorder was ended by SIGKILL\n" if code == 128 + 9 else "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_sets_the_event_where_the_main_thread_holds_its_lock(number: signal.Signals) -> None:
+    """The lock is held for a part of each `wait`: half of the signals during a loop of waits would end nothing."""
+    before = signal.getsignal(number)
+    with stoppable() as stop:
+        with stop._cond:
+            os.kill(os.getpid(), number)
+            assert signal.getsignal(number) is not before  # by now Python has called the handler
+        assert stop.wait(HANG)
+    assert signal.getsignal(number) is before
+
+
+def test_without_a_signal_nothing_is_set_and_no_thread_stays() -> None:
+    with stoppable() as stop:
+        assert "signals" in [each.name for each in threading.enumerate()]
+    for each in threading.enumerate():
+        if each.name == "signals":
+            each.join(HANG)
+            assert not each.is_alive()
+    assert not stop.is_set()
 
 
 # Before ROS 2 is loaded.
