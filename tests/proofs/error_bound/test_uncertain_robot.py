@@ -18,6 +18,7 @@ from fjr_proofs.error_bound.deviation_model import DeviationModel
 from fjr_proofs.error_bound.uncertain_robot import UncertainRobot
 from proofs.error_bound.test_error_bound import two_link
 
+ARM = fjr.planar_two_link()
 Q, DQ, DDQ = np.random.default_rng(5).uniform(-1, 1, (3, 2))
 
 
@@ -28,7 +29,7 @@ def links_of(robot: Robot) -> list[np.ndarray]:
 
 
 def uncertain(errors: dict[str, object], shares: list[float], place: object = (0.0, 0.0, 0.0)) -> list[np.ndarray]:
-    torque, M = UncertainRobot(fjr.planar_two_link(), errors, place).links(Q, DQ, DDQ, shares)
+    torque, M = UncertainRobot(ARM, errors, place).links(Q, DQ, DDQ, shares)
     return [torque.full().ravel(), M.full()]
 
 
@@ -39,7 +40,7 @@ def check(found: list[np.ndarray], expected: list[np.ndarray]) -> None:
 
 def test_without_a_share_the_links_are_those_of_the_model() -> None:
     none = {"link_mass": 0.2, "link_central_inertia": 0.1, "gravity_direction": 0.1}
-    check(uncertain(none, [0.0] * 6), links_of(fjr.planar_two_link()))
+    check(uncertain(none, [0.0] * 6), links_of(ARM))
 
 
 def test_factors_of_mass_and_inertia_are_those_of_an_arm_with_changed_links() -> None:
@@ -51,9 +52,9 @@ def test_factors_of_mass_and_inertia_are_those_of_an_arm_with_changed_links() ->
 
 
 def test_a_payload_is_a_point_mass_at_its_place() -> None:
-    robot, place = fjr.planar_two_link(), np.array([0.2, 0.03, 0.01])
+    place = np.array([0.2, 0.03, 0.01])
     found = uncertain({"payload_mass": 0.4, "payload_position": 0.02}, [0.5, 1.0, -1.0, 0.0], place)
-    loaded = PayloadArm(robot.links, robot.links.end_effector, 0.3, place + [0.02, -0.02, 0.0])
+    loaded = PayloadArm(ARM.links, ARM.links.end_effector, 0.3, place + [0.02, -0.02, 0.0])
     q = ca.SX.sym("q", 2)
     M, P = ca.Function("M", [q], [loaded.M_l(q)]), ca.Function("P", [q], [loaded.P_l(q)])
     lagrange = ca.Function("T", [q, v := ca.SX.sym("v", 2)], [v.T @ loaded.M_l(q) @ v / 2])
@@ -67,10 +68,10 @@ def test_a_payload_is_a_point_mass_at_its_place() -> None:
 
 def test_gravity_turns_about_two_axes_normal_to_it() -> None:
     """In the plane of the arm gravity turns to either side, or it leaves the plane and loses its cosine there."""
-    robot, angle = fjr.planar_two_link(), 0.1
-    without = robot.links.inertial_torque(Q, DQ, DQ, DDQ).full().ravel()
+    angle = 0.1
+    without = ARM.links.inertial_torque(Q, DQ, DQ, DDQ).full().ravel()
     possible = [(np.sin(angle), np.cos(angle)), (-np.sin(angle), np.cos(angle)), (0.0, np.cos(angle))]
-    arms = [serial_chain(robot.links.bodies, (-9.81 * across, 0.0, -9.81 * down)) for across, down in possible]
+    arms = [serial_chain(ARM.links.bodies, (-9.81 * across, 0.0, -9.81 * down)) for across, down in possible]
     weights = np.array([arm.grad_P_l(Q).full().ravel() for arm in arms])
     found = [uncertain({"gravity_direction": angle}, shares)[0] - without for shares in ([1.0, 0.0], [0.0, 1.0])]
     apart = [np.abs(weights - weight).max(axis=1) for weight in found]
@@ -79,7 +80,7 @@ def test_gravity_turns_about_two_axes_normal_to_it() -> None:
 
 
 def test_the_shares_of_the_model_itself_are_its_values() -> None:
-    found = UncertainRobot(fjr.planar_two_link(), {"payload": 0.3, "payload_mass": 1.0, "motor_inertia": [0.2, 0.0]})
+    found = UncertainRobot(ARM, {"payload": 0.3, "payload_mass": 1.0, "motor_inertia": [0.2, 0.0]})
     np.testing.assert_allclose(found.of_joints("payload", found.nominal), 1.0)
     np.testing.assert_allclose(found.of_joints("payload_mass", found.nominal), 0.0, atol=1e-15)
     np.testing.assert_allclose(found.of_joints("motor_inertia", found.nominal), 1.0)
@@ -90,7 +91,7 @@ def test_the_shares_of_the_model_itself_are_its_values() -> None:
 def test_forces_vanish_on_the_centre_motion_of_every_robot() -> None:
     """The slopes are those of forces that vanish there: their integral to another robot is the force of that robot."""
     errors = {"link_mass": 0.2, "stiffness": 0.1, "payload": 0.1, "motor_inertia": 0.1}
-    model, rng = DeviationModel(two_link(), UncertainRobot(fjr.planar_two_link(), errors)), np.random.default_rng(2)
+    model, rng = DeviationModel(two_link(), UncertainRobot(ARM, errors)), np.random.default_rng(2)
     path, c, z = rng.uniform(-1, 1, (2, 6)), rng.uniform(-1, 1, 7), 0.1 * rng.uniform(-1, 1, 8)
     motors = model.motors(path, c).full()
     f, points = rng.uniform(-1, 1, 7), np.polynomial.legendre.leggauss(12)
@@ -109,43 +110,31 @@ def test_forces_vanish_on_the_centre_motion_of_every_robot() -> None:
 
 
 @pytest.mark.parametrize(
-    ("robot", "errors", "words"),
+    ("changed", "errors", "words"),
     [
-        (
-            replace(two_link().robot, K=np.array([[40.0, 1.0], [1.0, 25.0]])),
-            {"stiffness": 0.1},
-            "K that is not",
-        ),
-        (
-            replace(two_link().robot, links=replace(two_link().robot.links, bodies=())),
-            {"link_mass": 0.1},
-            "an arm without bodies",
-        ),
-        (
-            replace(two_link().robot, links=replace(two_link().robot.links, end_effector=None)),
-            {"payload_mass": 0.1},
-            "an arm without an end effector",
-        ),
+        ({"K": np.array([[40.0, 1.0], [1.0, 25.0]])}, {"stiffness": 0.1}, "K that is not"),
+        ({"links": replace(ARM.links, bodies=())}, {"link_mass": 0.1}, "an arm without bodies"),
+        ({"links": replace(ARM.links, end_effector=None)}, {"payload_mass": 0.1}, "an arm without an end effector"),
     ],
 )
-def test_errors_that_a_robot_cannot_have_are_refused(robot: Robot, errors: dict[str, float], words: str) -> None:
+def test_errors_that_a_robot_cannot_have_are_refused(
+    changed: dict[str, object], errors: dict[str, float], words: str
+) -> None:
     with pytest.raises(ParameterError, match=words):
-        UncertainRobot(robot, errors)
+        UncertainRobot(replace(ARM, **changed), errors)
 
 
 def test_factors_are_in_the_order_of_the_joints_of_the_robot() -> None:
-    own, changed = fjr.planar_two_link(), fjr.planar_two_link(link_mass=(1.2 * 1.1, 0.8), link_inertia=(0.011, 0.005))
+    changed = fjr.planar_two_link(link_mass=(1.2 * 1.1, 0.8), link_inertia=(0.011, 0.005))
     gravity = (0.0, 0.0, -9.81)
     swapped, expected = (
-        replace(robot, links=serial_chain(robot.links.bodies, gravity, (1, 0))) for robot in (own, changed)
+        replace(robot, links=serial_chain(robot.links.bodies, gravity, (1, 0))) for robot in (ARM, changed)
     )
     torque, M = UncertainRobot(swapped, {"link_mass": [0.0, 0.1]}).links(Q, DQ, DDQ, [1.0])
     check([torque.full().ravel(), M.full()], links_of(expected))
 
 
 def test_without_gravity_its_direction_changes_nothing() -> None:
-    robot = fjr.planar_two_link()
-    links = serial_chain(robot.links.bodies, (0.0, 0.0, 0.0))
-    weightless = replace(robot, links=links)
-    torque, _ = UncertainRobot(weightless, {"gravity_direction": 0.1}).links(Q, DQ, DDQ, [1.0, -1.0])
+    links = serial_chain(ARM.links.bodies, (0.0, 0.0, 0.0))
+    torque, _ = UncertainRobot(replace(ARM, links=links), {"gravity_direction": 0.1}).links(Q, DQ, DDQ, [1.0, -1.0])
     assert torque.full().ravel() == pytest.approx(links.inertial_torque(Q, DQ, DQ, DDQ).full().ravel(), rel=1e-12)
