@@ -19,7 +19,6 @@ LONGEST_FIRST = (
     "design/tuning/test_gain_synthesis.py",
     "monitor/diagnosis/test_diagnosis.py",
     "proofs/error_bound/test_contraction.py",
-    "proofs/error_bound/test_drawn_robots.py",
     "design/stability/test_complete_loop_check.py",
     "physics/test_physics.py",
     "monitor/diagnosis/test_storage_growth.py",

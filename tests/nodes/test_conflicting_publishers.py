@@ -166,12 +166,18 @@ def test_plant_ends_if_another_clock_appears_with_the_first_command(
     assert node._time_base._robot.time == 0, "nothing must have moved"
 
 
-def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, manager: Manager, appear: Appear, monkeypatch) -> None:
-    monkeypatch.setattr(clock_owner, "SETTLING", -1.0)
+def owner_in_motion(ros: Ros, manager: Manager, monkeypatch: pytest.MonkeyPatch, settling: float) -> PlantNode:
+    """Return a plant that moves in lock-step and looks for other clocks often; settling [s]: for a new owner."""
+    monkeypatch.setattr(clock_owner, "SETTLING", settling)
     monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
     node = manager.plant(lockstep=True)
     CommandLoop(manager).listen()
     ros.until(lambda: node._time_base._robot.time > 0, "motion")
+    return node
+
+
+def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, manager: Manager, appear: Appear, monkeypatch) -> None:
+    node = owner_in_motion(ros, manager, monkeypatch, settling=-1.0)
     with appear(CLOCK).talking():
         ros.until(lambda: node._health.count["other clocks"] == 1, "the report")
     manager.reported(node, "other clocks")
@@ -182,11 +188,7 @@ def test_an_owner_reports_a_clock_that_appears_later(ros: Ros, manager: Manager,
 def test_new_owner_with_commands_ends_only_if_the_other_time_is_ahead(
     ros: Ros, manager: Manager, appear: Appear, monkeypatch: pytest.MonkeyPatch, seconds: int, ends: bool
 ) -> None:
-    monkeypatch.setattr(clock_owner, "SETTLING", 1e6)
-    monkeypatch.setattr(clock_owner, "LOOK_PERIOD", 0.01)
-    node = manager.plant(lockstep=True)
-    CommandLoop(manager).listen()
-    ros.until(lambda: node._time_base._robot.time > 0, "motion")
+    node = owner_in_motion(ros, manager, monkeypatch, settling=1e6)
     heard, read = ConflictingPublishers.heard, []
 
     def noted(self: ConflictingPublishers) -> tuple[str, Any] | None:
