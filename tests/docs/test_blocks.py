@@ -34,9 +34,9 @@ ENVIRONMENT = {
     "PATH": f"{os.environ['PATH']}:{Path(sys.executable).parent}",
 }  # includes CMake from its wheel
 MAPPED = ("shoulder", "elbow", "wrist")  # joints of the mapping files on the page on identification
-PLAIN_RUN = Path("runs", "paper_k31")
-AFTER_THE_TUTORIAL = ("identification", "reports")
-"""Pages that begin with the run of the tutorial, which makes it; they are given one, with the folder that it leaves."""
+PLAIN_RUN, PLAIN_SAID = Path("runs", "paper_k31"), "plain_said"
+WITH_THE_PLAIN_RUN = ("tutorial", "identification", "reports")
+"""Pages that begin with a run of the paper's joint; they are given that of other tests, and what the command said."""
 IN_PYTHON = "is evaluated in Python"  # of a law of the user
 BACKGROUND: list[subprocess.Popen[bytes]] = []
 ALL = [block for page in PAGES for block in blocks(page)]
@@ -64,8 +64,10 @@ def test_blocks_of_a_page_run_in_order(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # `make build` leaves it out, too
     monkeypatch.setattr(optimal_design, "STARTS", 1)  # of a search in which all starts take the same steps
-    if page.stem in AFTER_THE_TUTORIAL:
-        shutil.copytree(shared_run(tmp_path_factory, "paper_k31"), reader_folder / PLAIN_RUN)
+    if page.stem in WITH_THE_PLAIN_RUN:
+        shared = shared_run(tmp_path_factory, "paper_k31")
+        shutil.copytree(shared, reader_folder / PLAIN_RUN)
+        shutil.copy(shared.with_name("said"), reader_folder / PLAIN_SAID)
     for name in LINKED:
         (reader_folder / name).symlink_to(ROOT / name)
     (reader_folder / "my_arm.urdf").write_text(my_arm_urdf(), encoding="utf-8")
@@ -100,7 +102,9 @@ def do_sh(block: Block, folder: Path, _said: str) -> str:
     expected = [0] * (len(commands) - 1) + [int(block.marks.get("exit", 0))]
     said = ""
     for arguments, code in zip(commands, expected, strict=True):
-        if not (is_plain_run(arguments) and (folder / PLAIN_RUN).exists()):
+        if is_plain_run(arguments) and (folder / PLAIN_SAID).exists():
+            said += (folder / PLAIN_SAID).read_text(encoding="utf-8")
+        else:
             said += fjr_here(*arguments, codes=exit_codes(arguments, code))
     return said
 

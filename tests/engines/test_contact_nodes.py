@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,10 @@ def test_contact_is_reported_and_the_arm_reacts_as_on_contact_says(ros: Ros, tmp
 
 
 @pytest.mark.system
-def test_report_of_a_stop_at_a_wall_says_contact_beside_that_of_the_simulator(tmp_path: Path) -> None:
+def test_report_of_a_stop_at_a_wall_says_contact_beside_that_of_the_simulator(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)  # no picture
     changes = [part for name, value in FRONT.items() for part in ("--set", f"{name}:={value}")]
     run = ("run", "arm7_contact", "--lockstep", "--duration", "1.2", "--output", str(tmp_path), *changes)
     said = fjr_here(*run, codes=(Exit.FAILED,))

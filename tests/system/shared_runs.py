@@ -23,7 +23,7 @@ from nodes.harness import nanoseconds
 from system.bags import STORE
 from system.executables import fjr_here
 
-DURATION = {"paper_k31": 2.5, "paper_k3p1": 2.5, "two_link": 3.2, "arm7": 3.2}  # s
+DURATION = {"paper_k31": 3.0, "paper_k3p1": 2.5, "two_link": 3.2, "arm7": 3.2}  # s; of paper_k31 that of the tutorial
 
 
 def shared_run(factory: pytest.TempPathFactory, name: str) -> Path:
