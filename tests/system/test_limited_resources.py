@@ -75,7 +75,7 @@ def test_full_disk_ends_only_the_recording(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_ends_a_run_with_a_sentence_and_what_was_recorded_is_reported(tmp_path: Path) -> None:
-    room = 4_000_000  # bytes of a file, some chunks of the bag; shared memory of the middleware is made of files, too
+    room = 2_500_000  # bytes of a file, some chunks of the bag; shared memory of the middleware is made of files, too
     options = ("--lockstep", "--duration", "3600", "--no-report", "--output", str(tmp_path))
     done = limited(resource.RLIMIT_FSIZE, room, *installed("fjr", "run", "paper_k31", *options))
     assert done.returncode == Exit.FAILED, done.stderr

@@ -43,6 +43,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.usefixtures("no_picture")
 def test_the_files_are_accepted_and_the_report_of_a_run_repeats_the_guesses(made: Path) -> None:
     said = fjr_json("check", str(made / "arm.yaml"))
     assert said["stable"]

@@ -10,7 +10,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -200,11 +199,9 @@ def references_of_sent_motion(ros: Ros, listener: Listener, file: str) -> tuple[
     return t, q
 
 
-def test_the_demo_runs_the_paper_and_an_arm_in_real_time_without_matplotlib(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """The pages have every plot; pictures, which test_fjr_command.py looks at, would keep the other tests waiting."""
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+@pytest.mark.usefixtures("no_picture")
+def test_the_demo_runs_the_paper_and_an_arm_in_real_time_without_matplotlib(tmp_path: Path) -> None:
+    """The other tests wait meanwhile; test_fjr_command.py looks at a picture."""
     said = fjr_here("demo", "--duration", "0.5", "--output", str(tmp_path))
     for name in ("paper_k31", "paper_k3p1", "arm7"):
         counts = json.loads((tmp_path / name / "report.json").read_text())["counts"]

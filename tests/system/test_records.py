@@ -21,7 +21,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 
 from docs.pages import ROOT
-from fjr_core.config.scenario import load_scenario
+from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import FjrError, MissingPackageError, ParameterError, RecordError
 from fjr_core.model.robot import PRISMATIC, Robot
 from fjr_design.uncertainty.posterior import DEFLECTION, NAMES, UNKNOWN, WEAK, Identification
@@ -90,12 +90,8 @@ def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_o
         (fit,) = found[-1].fits
         assert set(fit.measured) == {DEFLECTION}  # nothing is simulated
         assert np.all(fit.explained[1:3] > 0.98)
-        assert [plot.title[:2] for plot in fit_plots(fit, AXES, kr300.units, "record-0")[:4]] == [
-            "a1",
-            "a2",
-            "a3",
-            "Re",
-        ]
+        titles = [plot.title[:2] for plot in fit_plots(fit, AXES, kr300.units, "record-0")[:4]]
+        assert titles == ["a1", "a2", "a3", "Re"]
         assert "[mm]" in fit_plots(fit, AXES, (PRISMATIC,) * len(AXES), "record-0")[0].y_label
         compared = hold_out(found[-1], held_out, kr300, prior, options)
         model, rigid, _ = compared.shares.T
@@ -230,18 +226,33 @@ def test_bad_mapping_file_is_refused_in_one_sentence(tmp_path: Path, text: str, 
     assert sentence in str(caught.value)
 
 
-def test_bag_of_a_run_gives_the_states_and_the_efforts_that_answer_them(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
-    run = shared_run(tmp_path_factory, "two_link")
-    scenario = load_scenario(run / "scenario.yaml")
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a run of the two-link arm."""
+    return shared_run(tmp_path_factory, "two_link")
+
+
+@pytest.fixture(scope="module")
+def scenario(run: Path) -> Scenario:
+    return load_scenario(run / "scenario.yaml")
+
+
+@pytest.fixture(scope="module")
+def whole(run: Path, scenario: Scenario) -> MotionRecord:
+    """Return the run as a record."""
     record, notes = read_record(run, scenario.joints, scenario.robot, Reading())
-    ideal = scenario.simulate(0.1)
+    assert notes == ()
+    return record
+
+
+def test_bag_of_a_run_gives_the_states_and_the_efforts_that_answer_them(
+    scenario: Scenario, whole: MotionRecord
+) -> None:
+    record, ideal = whole, scenario.simulate(0.1)
     assert record.dt == pytest.approx(scenario.sample_period)
     assert record.q_l[:90] == pytest.approx(np.asarray(ideal.x)[:90, :2], abs=1e-9)
     assert record.u[:90] == pytest.approx(np.asarray(ideal.u)[:90], abs=1e-6)
     assert np.isnan(record.torque).all()
-    assert notes == ()
 
 
 @pytest.mark.parametrize(
@@ -283,11 +294,8 @@ def test_of_a_bag_of_each_fifth_state_the_efforts_are_those_of_the_middle_of_a_s
 
 
 def test_other_storage_and_commands_without_stamps_give_the_same_positions(
-    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+    run: Path, scenario: Scenario, whole: MotionRecord, tmp_path: Path
 ) -> None:
-    run = shared_run(tmp_path_factory, "two_link")
-    scenario = load_scenario(run / "scenario.yaml")
-    whole, _ = read_record(run, scenario.joints, scenario.robot, Reading())
     plain = rewritten(
         run / "bag", tmp_path / "plain", StoragePlugin.SQLITE3, ("/joint_states", "/effort_controller/commands")
     )
@@ -298,9 +306,7 @@ def test_other_storage_and_commands_without_stamps_give_the_same_positions(
     assert any("is taken to answer the last state sent before it" in note for note in notes)
 
 
-def test_table_of_a_run_is_the_same_record_as_its_bag(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> None:
-    run = shared_run(tmp_path_factory, "two_link")
-    scenario = load_scenario(run / "scenario.yaml")
+def test_table_of_a_run_is_the_same_record_as_its_bag(run: Path, scenario: Scenario, tmp_path: Path) -> None:
     output = ("--output", str(tmp_path / "reports"))  # the run is shared
     fjr_here("report", str(run), "--table", str(tmp_path / "log.csv"), *output)
     text, todo = written_map(tmp_path / "log.csv", scenario.joints)
@@ -316,12 +322,10 @@ def test_table_of_a_run_is_the_same_record_as_its_bag(tmp_path_factory: pytest.T
 
 
 def test_a_part_of_a_bag_counts_from_the_first_command_however_late_it_is(
-    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Path, scenario: Scenario, whole: MotionRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(f"{read_record.__module__}.MESSAGES", 100)
-    run, begin = shared_run(tmp_path_factory, "two_link"), 2.2  # s
-    scenario = load_scenario(run / "scenario.yaml")
-    whole, _ = read_record(run, scenario.joints, scenario.robot, Reading())
+    begin = 2.2  # s
     states = rewritten(run / "bag", tmp_path / "late", change=without_commands_before(begin))
     late, _ = read_record(states, scenario.joints, scenario.robot, Reading(None, 0.1, 0.3, KINDS))
     assert len(late.u) * late.dt == pytest.approx(0.3, abs=2 * late.dt)
@@ -342,10 +346,7 @@ def without_commands_before(begin: float) -> Change:
     return changed
 
 
-def test_bag_of_another_robot_is_refused(
-    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, kr300: Robot
-) -> None:
-    run = shared_run(tmp_path_factory, "two_link")
+def test_bag_of_another_robot_is_refused(run: Path, tmp_path: Path, kr300: Robot) -> None:
     with pytest.raises(FjrError, match="was recorded with the joints .* expected .*a1"):
         read_record(run, AXES, kr300, Reading())
     alone = rewritten(run / "bag", tmp_path / "alone")

@@ -6,7 +6,7 @@ The check in C agrees with its equations in NumPy (core/oracles/wiring.py) on th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, replace
 
 import numpy as np
@@ -183,22 +183,39 @@ def test_both_agree_on_a_robot_with_full_matrices_or_curved_springs(wrong_motor:
     if springs == "torsion":
         z = np.array([[0.02, 0.03], [0.05, 0.06]])
         robot = replace(robot, K=np.diag(K), torsion=[z, K * z * [[1.2], [2.0]]])
+    signs = np.ones(4)
+    if wrong_motor is not None:
+        signs[2 + wrong_motor] = -1.0
+    fault = None if wrong_motor is None else WiringFault("encoder sign", (wrong_motor,), "motor")
+    assert_found(fault, robot, 5e-4, lambda k: np.array([3.0, 2.0]) * np.sin(200e-3 * k), signs=signs)
+
+
+def assert_found(
+    fault: WiringFault | None,
+    robot: fjr.Robot,
+    noise: float,
+    effort: Callable[[int], Array],
+    signs: Array | float = 1.0,
+    acting: Array | float = 1.0,
+) -> None:
+    """Check that both find a fault in the motion under efforts that begins at rest.
+
+    noise [rad/s]: of the velocities. signs (4,): of the encoders. acting (2, 2): what the efforts are multiplied by.
+    """
     plant, rng, x = fjr.Plant(robot), np.random.default_rng(5), robot.state(*np.zeros((4, 2)))
     here, oracle = WiringCheck(robot, NAMES), NumericCheck(robot)
     for k in range(STATES):
-        q, dq = x[:4] + 1e-6 * rng.standard_normal(4), np.hstack(robot.velocities(x)) + 5e-4 * rng.standard_normal(4)
-        if wrong_motor is not None:
-            q[2 + wrong_motor], dq[2 + wrong_motor] = -q[2 + wrong_motor], -dq[2 + wrong_motor]
+        q = signs * (x[:4] + 1e-6 * rng.standard_normal(4))
+        dq = signs * (np.hstack(robot.velocities(x)) + noise * rng.standard_normal(4))
         found = here.see(1e-3 * k, q, dq)
         np.testing.assert_equal(values(found), said(oracle.see(1e-3 * k, q, dq), NAMES))
         np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[:4], **SAME)
         if found is not None:
             break
-        u = np.array([3.0, 2.0]) * np.sin(200e-3 * k)
+        u = effort(k)
         here.sent(u)
         oracle.sent(u)
-        x = plant.step(x, u, 1e-3)
-    fault = None if wrong_motor is None else WiringFault("encoder sign", (wrong_motor,), "motor")
+        x = plant.step(x, np.dot(acting, u), 1e-3)
     np.testing.assert_equal(values(found), said(fault, NAMES))
 
 
@@ -217,17 +234,8 @@ def test_wrong_efforts_are_found_where_motors_drive_other_joints(
     B_m: list[list[float]], kind: str | None, joints: tuple[int, ...], acting: list[list[float]]
 ) -> None:
     """Exchanged motors of a differential transmission are seen by one joint only, crossed ones by the other joint."""
-    robot, rng = fjr.planar_two_link(input_gain=B_m), np.random.default_rng(5)
-    plant, x = fjr.Plant(robot), robot.state(*np.zeros((4, 2)))
-    here, oracle = WiringCheck(robot, NAMES), NumericCheck(robot)
-    for k in range(STATES):
-        q, dq = x[:4] + 1e-6 * rng.standard_normal(4), np.hstack(robot.velocities(x)) + 1e-4 * rng.standard_normal(4)
-        found = here.see(1e-3 * k, q, dq)
-        np.testing.assert_equal(values(found), said(oracle.see(1e-3 * k, q, dq), NAMES))
-        if found is not None or here.done:
-            break
-        u = np.array([6.0, 4.0]) * np.sin([0.2 * k, 0.3 * k])
-        here.sent(u)
-        oracle.sent(u)
-        x = plant.step(x, np.array(acting) @ u, 1e-3)
-    np.testing.assert_equal(values(found), said(kind and WiringFault(kind, joints, "motor"), NAMES))
+    def efforts(k: int) -> Array:
+        return np.array([6.0, 4.0]) * np.sin([0.2 * k, 0.3 * k])
+
+    fault = WiringFault(kind, joints, "motor") if kind else None
+    assert_found(fault, fjr.planar_two_link(input_gain=B_m), 1e-4, efforts, acting=np.array(acting))
