@@ -25,7 +25,7 @@ from fjr_msgs_py.scenarios import library
 from fjr_plant.plant_node import PlantNode
 from nodes.harness import Ros
 from nodes.managed import Manager
-from system.executables import fjr_here
+from system.executables import fjr_here, sets
 from system.shared_runs import messages
 
 
@@ -101,9 +101,9 @@ def test_report_of_a_stop_at_a_wall_says_contact_beside_that_of_the_simulator(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # no picture
-    changes = [part for name, value in FRONT.items() for part in ("--set", f"{name}:={value}")]
-    run = ("run", "arm7_contact", "--lockstep", "--duration", "1.2", "--output", str(tmp_path), *changes)
-    said = fjr_here(*run, codes=(Exit.FAILED,))
+    wall = sets(*(f"{name}:={value}" for name, value in FRONT.items()))
+    run = ("run", "arm7_contact", "--lockstep", "--duration", "1.2", "--output", str(tmp_path), *wall)
+    said = fjr_here(*run, code=Exit.FAILED)
     report = json.loads((tmp_path / "arm7_contact" / "report.json").read_text())
     assert report["status"] == "stopped"
     assert "; contact from 0.8" in report["stop"]["reason"]

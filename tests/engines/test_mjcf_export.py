@@ -50,12 +50,8 @@ def random_chain() -> Scenario:
     return found
 
 
-def ur5e() -> Scenario:
-    return scenario(str(UR5E), UR5E_JOINTS)
-
-
 CASES = {name: lambda name=name: library.load(name) for name in ("paper_k31", "two_link", "arm7")}
-CASES |= {"UR5e": ur5e, "random chain": random_chain}
+CASES |= {"UR5e": lambda: scenario(str(UR5E), UR5E_JOINTS), "random chain": random_chain}
 
 
 def written(case: Scenario, folder: Path) -> Path:

@@ -61,7 +61,8 @@ def faulty() -> Sequence:
 
 def test_every_host_sends_the_same_bits_for_faulty_states(comparison: Comparison) -> None:
     sequence = faulty()
-    before = Sequence("", sequence.document, False, tuple(x for x in sequence.inputs if x.time < _time(RESTARTED)))
+    end = recording.START + RESTARTED * recording.SECOND // 1000
+    before = Sequence("", sequence.document, False, tuple(x for x in sequence.inputs if x.time < end))
     counters = reference_replay(before).counters
     assert {name for name in HAPPENED if counters[name]} == HAPPENED
     compared = comparison.compared(sequence)
@@ -88,7 +89,3 @@ def test_every_host_finds_wrong_wiring_with_the_same_sample(comparison: Comparis
     assert replay.counters["stops: wiring"] == 1
     assert 8 < stopped <= 20
     assert comparison.compared(sequence).different == dict.fromkeys(HOSTS, 0)
-
-
-def _time(sample: int) -> int:
-    return recording.START + sample * recording.SECOND // 1000

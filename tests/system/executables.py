@@ -112,6 +112,11 @@ def fjr_json(*arguments: str, code: int = 0) -> dict[str, Any]:
     return found
 
 
+def sets(*assignments: str) -> list[str]:
+    """Return the options of `fjr` that set parameters, as NAME:=VALUE."""
+    return [part for assignment in assignments for part in ("--set", assignment)]
+
+
 def python_here(text: str, file: Path) -> str:
     """Run a Python program in this process, which saves its imports; return its output. file: where it stands."""
     output = StringIO()

@@ -21,7 +21,7 @@ from rosbags.highlevel import AnyReader
 
 from nodes.harness import nanoseconds
 from system.bags import STORE
-from system.executables import fjr_here
+from system.executables import fjr_here, sets
 
 DURATION = {"paper_k31": 3.0, "paper_k3p1": 2.5, "two_link": 3.2, "arm7": 3.2}  # s; of paper_k31 that of the tutorial
 
@@ -60,8 +60,7 @@ class Recorded:
 
 def record(name: str, duration: float, output: Path, *overrides: str) -> Recorded:
     """Run a scenario in lock-step without a report and read its bag."""
-    changes = [part for override in overrides for part in ("--set", override)]
-    said = complete_run(name, duration, output, "--no-report", *changes)
+    said = complete_run(name, duration, output, "--no-report", *sets(*overrides))
     return recorded_run(output / name, said)
 
 

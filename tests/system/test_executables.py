@@ -80,10 +80,6 @@ def test_a_signal_while_python_loads_ends_a_program_without_a_traceback(
     assert "Traceback" not in said
 
 
-def policies(pid: int) -> set[int]:
-    return {os.sched_getscheduler(int(thread)) for thread in os.listdir(f"/proc/{pid}/task")}
-
-
 @pytest.mark.parametrize("node", NODES)
 def test_a_node_without_messages_has_ordinary_scheduling_no_scipy_and_ends_by_a_signal(
     ros: Ros, start: Start, node: str
@@ -91,8 +87,10 @@ def test_a_node_without_messages_has_ordinary_scheduling_no_scipy_and_ends_by_a_
     peer = Peer(ros)
     executable = start(node, "--ros-args", *(("-p", "start_paused:=true") if node == "plant" else ()))
     ros.until(lambda: peer.diagnostics, "its first diagnostics")
-    assert policies(executable.process.pid) == {os.SCHED_OTHER, os.SCHED_BATCH}  # the loop, and Python beside it
-    assert "/scipy/" not in Path(f"/proc/{executable.process.pid}/maps").read_text()  # it would double the start
+    process = Path(f"/proc/{executable.process.pid}")
+    policies = {os.sched_getscheduler(int(thread.name)) for thread in (process / "task").iterdir()}
+    assert policies == {os.SCHED_OTHER, os.SCHED_BATCH}  # the loop, and Python beside it
+    assert "/scipy/" not in (process / "maps").read_text()  # it would double the start
     ended_by(executable, signal.SIGTERM if node == "plant" else signal.SIGINT)
 
 

@@ -22,7 +22,7 @@ from fjr_monitor.recording.recorder import BagWriter
 from fjr_monitor.recording.run_folder import FolderError, RunFolder
 from fjr_msgs_py.console.ending import Exit
 from nodes.harness import Listener, Ros
-from system.executables import NODES, Executable, Start, children, fjr_here, wait_for
+from system.executables import NODES, Executable, Start, children, fjr_here, sets, wait_for
 from system.shared_runs import is_complete, messages
 
 pytestmark = pytest.mark.system
@@ -39,8 +39,7 @@ def efforts(run: Path) -> list[float]:
     return [float(message.data[0]) for _, message in messages(run, "/effort_controller/commands")]
 
 
-SLOWER = ("realtime_priority:=0", "publish_rate:=200.0", "state_timeout:=600.0")
-CALM = ("--force", "--no-report", *(part for value in SLOWER for part in ("--set", value)))
+CALM = ("--force", "--no-report", *sets("realtime_priority:=0", "publish_rate:=200.0", "state_timeout:=600.0"))
 """In real time with little processor time: lock-step takes all there is."""
 
 
@@ -85,7 +84,7 @@ def test_a_signal_or_a_killed_node_ends_all_processes_and_leaves_a_readable_bag(
 
 
 def test_diverged_run_has_a_report_and_figures(tmp_path: Path) -> None:
-    unstable = ("--force", "--duration", "60", "--set", "publish_rate:=20.0", "--set", "inner_steps:=1")
+    unstable = ("--force", "--duration", "60", *sets("publish_rate:=20.0", "inner_steps:=1"))
     said = fjr_here("run", "paper_k31", "--lockstep", *unstable, "--output", str(tmp_path), code=1)
     report = json.loads((tmp_path / "paper_k31" / "report.json").read_text())
     assert "plant_node" in said

@@ -119,40 +119,34 @@ LARGEST = 3e6  # bytes
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """Run the sweep of the page; return its folder and what the command said."""
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run the sweep of the page; return its folder, with what the command said."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "joint.yaml").write_text(PAGE)
-    return folder / "joint", fjr_here("sweep", str(folder / "joint.yaml"), "--output", str(folder), "--json")
+    said = fjr_here("sweep", str(folder / "joint.yaml"), "--output", str(folder), "--json")
+    (folder / "joint" / "said").write_text(said)
+    return folder / "joint"
 
 
-@pytest.fixture(scope="module")
-def study(said: tuple[Path, str]) -> Path:
-    return said[0]
-
-
-def test_sweep_writes_a_table_a_figure_and_a_page(said: tuple[Path, str]) -> None:
-    folder, words = said
-    columns = pq.read_table(folder / "table.parquet")
+def test_sweep_writes_a_table_a_figure_and_a_page(study: Path) -> None:
+    columns = pq.read_table(study / "table.parquet")
     assert columns.num_rows == 160
     assert columns.column("run").to_pylist() == list(range(160))
     assert {"delay", "link_damping", "success", "rms.joint1"} <= set(columns.column_names)
-    assert set(json.JSONDecoder().raw_decode(words)[0]) == documented_keys()["sweep"]
-    figures = json.loads((folder / "summary.json").read_text())
+    assert set(json.JSONDecoder().raw_decode((study / "said").read_text())[0]) == documented_keys()["sweep"]
+    figures = json.loads((study / "summary.json").read_text())
     assert figures["succeeded"] == sum(columns.column("success").to_pylist())
     assert figures["effects"][0]["name"] == "delay"
-    assert matplotlib.image.imread(folder / "overview.png")[..., :3].std() > 0.05
-    assert "runs succeed" in (folder / "report.html").read_text()
+    assert matplotlib.image.imread(study / "overview.png")[..., :3].std() > 0.05
+    assert "runs succeed" in (study / "report.html").read_text()
 
 
-def test_a_sweep_without_matplotlib_names_what_it_leaves_out(
-    said: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, figures = said[0], json.loads((said[0] / "summary.json").read_text())
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    again = fjr_here("sweep", f"{folder}.yaml", "--output", str(folder.parent))
-    assert f"{folder / 'overview.png'} is left out" in again
-    assert f"open {folder / 'report.html'}" in again
+@pytest.mark.usefixtures("no_picture")
+def test_a_sweep_without_matplotlib_names_what_it_leaves_out(study: Path) -> None:
+    figures = json.loads((study / "summary.json").read_text())
+    again = fjr_here("sweep", f"{study}.yaml", "--output", str(study.parent))
+    assert f"{study / 'overview.png'} is left out" in again
+    assert f"open {study / 'report.html'}" in again
     assert f"{100 * figures['succeeded'] / 160:.2f} % of 160 runs succeed" in again
 
 

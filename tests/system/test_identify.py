@@ -22,7 +22,7 @@ from fjr_identification.page import autocorrelation, groups
 from fjr_identification.robot_file import IdentifiedRobot, nominal_robot
 from fjr_msgs_py.console.ending import Exit
 from system.browser import Browser
-from system.executables import fjr_here, fjr_json, scenario
+from system.executables import fjr_here, fjr_json, scenario, sets
 from system.shared_runs import shared_run
 
 pytestmark = pytest.mark.system
@@ -310,9 +310,8 @@ TABLE = ("torsion_deflection:=[0.05, 0.05, 0.1, 0.1]", "torsion_torque:=[2.5, 2.
 @pytest.mark.parametrize("curve", [("cubic_stiffness:=[4.0e3, 2.5e3]",), TABLE], ids=["cubic", "table"])
 def test_the_motion_of_springs_with_a_curve_keeps_their_limits(tmp_path: Path, curve: tuple[str, ...]) -> None:
     target = tmp_path / "moves.yaml"
-    given = *(f"robot.{each}" for each in curve), "limits.deflection:=[0.1, 0.06]"
-    sets = [part for each in given for part in ("--set", each)]
-    fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", *sets)
+    given = sets(*(f"robot.{each}" for each in curve), "limits.deflection:=[0.1, 0.06]")
+    fjr_here("excite", "two_link", "--duration", f"{DURATION}", "--output", f"{target}", *given)
     loop = load_scenario(target)
     assert loop.robot.curve
     run = loop.simulate(DURATION)

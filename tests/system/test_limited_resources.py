@@ -204,11 +204,10 @@ def test_a_program_by_its_path_without_a_sourced_workspace_says_so(program: str,
     assert done.stderr.count("\n") == 1
 
 
-def test_a_table_is_printed_in_a_locale_that_lacks_its_dash() -> None:
+def test_a_table_is_printed_in_a_locale_that_lacks_its_dash(tmp_path: Path) -> None:
     ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     code = "from fjr_msgs_py.node.loading import prepare; prepare('fjr'); print('\\N{EN DASH}')"
-    done = subprocess.run([sys.executable, "-c", code], env=ascii_only, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "?\n", "")
+    assert python(code, ascii_only, tmp_path) == (0, "?\n")
 
 
 def _said(*command: str) -> str:
@@ -252,14 +251,6 @@ for line in sys.argv[1:]:
 """
 
 
-def fjr(folder: Path, *lines: str) -> list[tuple[int, str]]:
-    """Return exit code and output of commands without identification, proofs and engines, run in one process."""
-    _, said = python(PROGRAM, without("fjr_identification", "fjr_proofs", "fjr_engines"), folder, *lines)
-    found = re.findall(r"(.*?)^\| (\d)$", said, re.DOTALL | re.MULTILINE)
-    assert len(found) == len(lines), said
-    return [(int(code), text) for text, code in found]
-
-
 NEEDS = {
     "identify record.csv": (2, "fjr_identification"),
     "excite two_link": (2, "fjr_identification"),
@@ -273,13 +264,15 @@ NEEDS = {
 
 def test_without_identification_and_proofs_what_needs_them_names_them_and_the_rest_runs(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(two_link_urdf(), encoding="utf-8")
-    found = fjr(tmp_path, *NEEDS, "new arm.urdf", "check arm.yaml", "gains two_link --beta 1", "--help")
-    for (code, said), (status, package) in zip(found, NEEDS.values(), strict=False):
-        assert (code, f"needs the package {package}, which is not installed" in said) == (status, True), said
-    _, check, _, shown = rest = found[len(NEEDS) :]
-    assert [code for code, _ in rest] == [0, 0, 0, 0], rest
-    assert "near the reference" not in check[1]  # nothing is proven
-    assert (" identify " in shown[1], " check " in shown[1]) == (False, True)
+    rest = ("new arm.urdf", "check arm.yaml", "gains two_link --beta 1", "--help")
+    _, said = python(PROGRAM, without("fjr_identification", "fjr_proofs", "fjr_engines"), tmp_path, *NEEDS, *rest)
+    texts, codes = zip(*re.findall(r"(.*?)^\| (\d)$", said, re.DOTALL | re.MULTILINE), strict=True)
+    assert [*map(int, codes)] == [*(code for code, _ in NEEDS.values()), 0, 0, 0, 0], said
+    *needing, _, check, _, shown = texts
+    for text, (_, package) in zip(needing, NEEDS.values(), strict=True):
+        assert f"needs the package {package}, which is not installed" in text
+    assert "near the reference" not in check  # nothing is proven
+    assert (" identify " in shown, " check " in shown) == (False, True)
 
 
 def test_the_core_runs_alone_and_names_the_package_of_a_name(tmp_path: Path) -> None:

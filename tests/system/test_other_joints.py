@@ -26,7 +26,7 @@ from fjr_monitor.watch.state import Watched
 from fjr_msgs_py.console.ending import Exit
 from fjr_msgs_py.console.output import milli, number
 from nodes.harness import Ros
-from system.executables import fjr_here, fjr_json
+from system.executables import fjr_here, fjr_json, sets
 from tracking.tracked import sample
 from watch_text import text
 
@@ -72,6 +72,7 @@ def arm(file: Path) -> Scenario:
     return load_scenario(file)
 
 
+@pytest.mark.usefixtures("no_picture")
 def test_check_and_run_name_joint_and_unit_of_each_metric(file: Path, arm: Scenario, tmp_path: Path) -> None:
     assert arm.robot.units == (PRISMATIC, REVOLUTE)
     assert any("N, N m; within the effort limits" in text for text in check(arm).rows.values())
@@ -84,23 +85,15 @@ def test_check_and_run_name_joint_and_unit_of_each_metric(file: Path, arm: Scena
     shares = {each["joint"]: each["peak_effort_nm"] / each["effort_limit_nm"] for each in (lift, elbow)}
     assert lift["peak_effort_nm"] > elbow["peak_effort_nm"]
     assert shares["elbow"] > shares["lift"]
-    assert (
-        f"{number(lift['peak_effort_nm'], 'N', 4)} (lift), {100 * shares['elbow']:.0f} % of its limit (elbow)" in said
-    )
+    lifting = f"{number(lift['peak_effort_nm'], 'N', 4)} (lift)"
+    assert f"{lifting}, {100 * shares['elbow']:.0f} % of its limit (elbow)" in said
     worst = {"lift": lift, "elbow": elbow}[tracking["max_error_after_2s_joint"]]
     error = f"{milli(worst['peak_error_after_2s_rad'], worst['position_unit'])} ({worst['joint']})"
     assert error in said
     page = (tmp_path / "arm" / "report.html").read_text()
     rms = [milli(each["rms_error_after_2s_rad"], each["position_unit"]) for each in (lift, elbow)]
-    for shown in (
-        " and ".join(rms),
-        "lift [mm, N]",
-        "elbow [mrad, N m]",
-        "[m, rad]",
-        "[mm, mrad]",
-        "[N, N m]",
-        "% of its limit (elbow)",
-    ):
+    units = ("lift [mm, N]", "elbow [mrad, N m]", "[m, rad]", "[mm, mrad]", "[N, N m]")
+    for shown in (" and ".join(rms), *units, "% of its limit (elbow)"):
         assert shown in page, shown
 
 
@@ -187,8 +180,8 @@ def test_the_live_view_of_a_named_scenario_marks_it_without_a_robot_description(
 HARD = ("two_link", "--set", "robot.cubic_stiffness:=[4.0e3, 2.5e3]")  # twice the torque at 0.1 rad
 
 AT = {"position": "[0.3, 0.0]", "velocity": "[1.0, 2.1]"}  # the reference's start
-NEAR = [part for name, value in AT.items() for part in ("--set", f"initial_link_{name}:={value}")]
-NEAR += ["--set", "initial_motor_position:=[0.34, 0.01]", "--set", "initial_motor_velocity:=[1.0, 2.1]"]
+NEAR = sets(*(f"initial_link_{name}:={value}" for name, value in AT.items()))
+NEAR += sets("initial_motor_position:=[0.34, 0.01]", "initial_motor_velocity:=[1.0, 2.1]")
 
 
 def test_check_has_the_rate_of_straight_springs_the_tangents_and_warns_of_a_start_that_diverges() -> None:
@@ -208,7 +201,7 @@ def test_check_has_the_rate_of_straight_springs_the_tangents_and_warns_of_a_star
 
 
 POINTS = ("robot.torsion_deflection:=[0.02, 0.02, 0.05, 0.05]", "robot.torsion_torque:=[0.9, 0.4, 2.8, 0.9]")
-TABLE = ("two_link", *(part for each in POINTS for part in ("--set", each)))  # the second joint softens
+TABLE = ("two_link", *sets(*POINTS))  # the second joint softens
 
 
 @pytest.mark.parametrize("springs", [HARD, pytest.param(TABLE, marks=pytest.mark.full)], ids=["cubic", "table"])

@@ -349,6 +349,7 @@ def test_runs_that_do_not_show_the_claim_give_the_reason(summaries: list[RunSumm
         assert "N m" not in made.sentence
 
 
+@pytest.mark.usefixtures("no_picture")
 def test_a_demonstration_that_is_stopped_in_real_time_is_repeated_in_lock_step(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,6 +18,7 @@ from rosbags.highlevel import AnyReader
 from fjr_bringup import clients
 from fjr_bringup.clients import ServiceClient
 from fjr_monitor.recording.bag import read_bag
+from fjr_msgs_py.console.ros2 import play_command
 from nodes.harness import Listener, Ros
 from system.bags import STORE
 from system.executables import SLOW, TIME_LIMIT, Start, documented_keys, fjr_here, fjr_json, running, wait_for
@@ -101,9 +102,13 @@ REPLACED = {
 
 
 def test_installed_ros2_is_recommended_instead_without_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as without:
+        without.setenv("PATH", str(tmp_path))
+        assert play_command(Path("my bag")) == "fjr play 'my bag'"
     (tmp_path / "ros2").write_text("#!/bin/sh\nexit 1\n")
     (tmp_path / "ros2").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    assert play_command(Path("my bag")) == "ros2 bag play 'my bag'"
     for line, better in REPLACED.items():
         said = fjr_here(*shlex.split(line), code=1)
         assert f"use `{better}`" in said

@@ -6,8 +6,9 @@ The check in C agrees with its equations in NumPy (core/oracles/wiring.py) on th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -183,22 +184,21 @@ def test_both_agree_on_a_robot_with_full_matrices_or_curved_springs(wrong_motor:
     if springs == "torsion":
         z = np.array([[0.02, 0.03], [0.05, 0.06]])
         robot = replace(robot, K=np.diag(K), torsion=[z, K * z * [[1.2], [2.0]]])
-    signs = np.ones(4)
+    fault, signs = None, np.ones(4)
     if wrong_motor is not None:
-        signs[2 + wrong_motor] = -1.0
-    fault = None if wrong_motor is None else WiringFault("encoder sign", (wrong_motor,), "motor")
-    assert_found(fault, robot, 5e-4, lambda k: np.array([3.0, 2.0]) * np.sin(200e-3 * k), signs=signs)
+        fault, signs[2 + wrong_motor] = WiringFault("encoder sign", (wrong_motor,), "motor"), -1.0
+    assert_found(fault, robot, ([3.0, 2.0], 0.2), noise=5e-4, signs=signs)
 
 
 def assert_found(
     fault: WiringFault | None,
     robot: fjr.Robot,
+    sine: tuple[Any, Any],
     noise: float,
-    effort: Callable[[int], Array],
-    signs: Array | float = 1.0,
-    acting: Array | float = 1.0,
+    signs: Any = 1.0,
+    acting: Any = 1.0,
 ) -> None:
-    """Check that both find a fault in the motion under efforts that begins at rest.
+    """Check that both find a fault in a motion from rest under sines (amplitudes [N m], angles of a sample) of efforts.
 
     noise [rad/s]: of the velocities. signs (4,): of the encoders. acting (2, 2): what the efforts are multiplied by.
     """
@@ -212,7 +212,7 @@ def assert_found(
         np.testing.assert_allclose(list(here.state.comparison.misfit), oracle.misfit[:4], **SAME)
         if found is not None:
             break
-        u = effort(k)
+        u = np.multiply(sine[0], np.sin(np.multiply(k, sine[1])))
         here.sent(u)
         oracle.sent(u)
         x = plant.step(x, np.dot(acting, u), 1e-3)
@@ -234,8 +234,5 @@ def test_wrong_efforts_are_found_where_motors_drive_other_joints(
     B_m: list[list[float]], kind: str | None, joints: tuple[int, ...], acting: list[list[float]]
 ) -> None:
     """Exchanged motors of a differential transmission are seen by one joint only, crossed ones by the other joint."""
-    def efforts(k: int) -> Array:
-        return np.array([6.0, 4.0]) * np.sin([0.2 * k, 0.3 * k])
-
     fault = WiringFault(kind, joints, "motor") if kind else None
-    assert_found(fault, fjr.planar_two_link(input_gain=B_m), 1e-4, efforts, acting=np.array(acting))
+    assert_found(fault, fjr.planar_two_link(input_gain=B_m), ([6.0, 4.0], [0.2, 0.3]), noise=1e-4, acting=acting)
