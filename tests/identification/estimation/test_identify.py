@@ -84,7 +84,7 @@ def test_all_parameters_of_a_joint_are_found_within_their_intervals() -> None:
     assert found["motor_inertia"].value == pytest.approx(0.004, rel=1e-3)
 
 
-@pytest.mark.parametrize("every", [2, 5])
+@pytest.mark.parametrize("every", [pytest.param(2, marks=pytest.mark.full), 5])
 def test_a_log_slower_than_the_controller_gives_stiffness_inertia_and_delay(every: int) -> None:
     """The effort changes each millisecond and is logged each second or fifth time; without `held` it acts too early."""
     dt, robot = 1e-3, robot_like(ElasticJoint())
