@@ -148,7 +148,8 @@ def test_omitted_joints_hold_if_allowed_and_the_limits_of_the_robot_apply(ros: R
     shoulder, elbow = JOINTS
     robot = {"model": "urdf", "urdf": two_link_urdf(), "joint_stiffness": STIFFNESS, "motor_inertia": MOTOR_INERTIA}
     offset = {"reference__amplitude": [0.0, 0.0], "reference__offset": [0.1, 0.2]}
-    ros.controller(joints=JOINTS, **{f"robot__{name}": value for name, value in robot.items()}, **offset)
+    given = {f"robot__{name}": value for name, value in robot.items()} | offset
+    ros.controller(joints=JOINTS, **given, recovery__join_time=0.0)  # the plan may take long enough to be a gap
     names = state_names(JOINTS)
     manager.ask(stamped(0.0, 0.1, names=names))
     message = trajectory((1.0, 0.4), joints=(elbow,))
@@ -161,6 +162,7 @@ def test_omitted_joints_hold_if_allowed_and_the_limits_of_the_robot_apply(ros: R
     assert manager.send(message).name == "references changed"
     manager.ask(stamped(1.2, 0.1, names=names))
     np.testing.assert_allclose(manager.references[-1].position, [0.1, 0.4], atol=1e-9)
+    manager.events.clear()
     upper = fjr.robot_from_urdf(two_link_urdf(), JOINTS, STIFFNESS, MOTOR_INERTIA).limits.upper
     event = manager.send(trajectory((9.0, float(upper[1]) + 0.1), joints=(elbow,)))
     assert event.name == "trajectory refused: cannot be followed"
