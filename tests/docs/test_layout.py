@@ -87,7 +87,7 @@ BUDGETS = {
     "fjr_plant": 1_380,
     "fjr_controller": 1_770,
     "fjr_design": 9_210,
-    "fjr_identification": 6_080,
+    "fjr_identification": 6_085,
     "fjr_proofs": 4_020,
     "fjr_engines": 1_240,
     "fjr_bringup": 1_200,

@@ -260,7 +260,7 @@ def test_bag_of_a_run_gives_the_states_and_the_efforts_that_answer_them(
     [
         ("time: {column: t}\neffort: {column: u}\nlink_position: {column: q}\ncontrol_period: 0.001\n", 1e-3),
         ("bag: {control_period: 0.001}\n", 1e-3),
-        ("bag: {}\n", 1.0),
+        ("bag: {}\n", np.inf),
     ],
 )
 def test_a_mapping_file_tells_the_period_of_a_controller_faster_than_the_log(
@@ -268,7 +268,15 @@ def test_a_mapping_file_tells_the_period_of_a_controller_faster_than_the_log(
 ) -> None:
     file = tmp_path / "map.yaml"
     file.write_text(text.replace("u}", "u, unit: N m}").replace("q}", "q, unit: rad}"))
-    assert read_map(file, ("a1",)).held == held  # [s]; longer than any sample if it is not given
+    assert read_map(file, ("a1",)).held == held  # [s]
+
+
+@pytest.mark.parametrize("value", ["-0.001", "0", "0.0", "true", "fast", "[0.001]", ".nan"])
+def test_a_period_of_the_controller_that_is_none_is_refused(value: str, tmp_path: Path) -> None:
+    file = tmp_path / "map.yaml"
+    file.write_text(f"bag: {{control_period: {value}}}\n")
+    with pytest.raises(ParameterError, match=r"bag\.control_period is .*; expected seconds above 0"):
+        read_map(file, ("a1",))
 
 
 def test_of_a_bag_of_each_fifth_state_the_efforts_are_those_of_the_middle_of_a_sample(

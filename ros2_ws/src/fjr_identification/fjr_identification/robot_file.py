@@ -165,9 +165,7 @@ class IdentifiedRobot:
         tree = ros_yaml.tree_of({key: _value(value) for key, value in values.items() if key != "joints"})["robot"]
         placed = {*MATRICES, HARDENING, *FRICTION, STRIBECK, SMOOTHING, *PAYLOAD, *PSEUDO_INERTIA, "effort_delay", LAG}
         known = [estimate for estimate in self.identification.estimates if estimate.verdict != UNKNOWN]
-        others = [
-            described(estimate) for estimate in known if estimate.name not in placed
-        ]  # of no scenario's parameter
+        others = [described(each) for each in known if each.name not in placed]  # no parameter of a scenario
         found = PackageLoader("fjr_identification")
         templates = Environment(loader=found, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
         text = templates.get_template("robot.yaml").render(

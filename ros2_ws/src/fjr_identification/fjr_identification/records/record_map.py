@@ -44,7 +44,7 @@ LINK, MOTOR, EFFORT, TORQUE = "link_position", "motor_position", "effort", "join
 UNITS = {LINK: ANGLES, MOTOR: ANGLES, EFFORT: TORQUES, TORQUE: TORQUES}
 KEYS = ("column", "unit", "joints", "gear_ratio", "sign")
 BY_COMMANDS, BY_STATES, HELD = "commands", "states", "control_period"
-BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, list), "effort": (str,), HELD: (float,)}
+BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, list), "effort": (str,), HELD: (object,)}
 
 PARQUET = ".parquet"
 HEADER_LINES = 1000  # empty lines and comments before the header, at most
@@ -127,8 +127,7 @@ def _bag(document: Mapping[Any, Any], n: int) -> BagMap:
         raise ParameterError(f"bag.effort is {effort!r}; expected {BY_COMMANDS} or {BY_STATES}")
     namespace = str(given.get("namespace", "")).strip("/")
     ratio = _numbers("bag.gear_ratio", given.get("gear_ratio", 1.0), n)
-    (held,) = np.abs(_numbers(f"bag.{HELD}", given.get(HELD, 1.0), 1))
-    return BagMap(ratio, f"/{namespace}" if namespace else "", motor == "torque", effort, float(held))
+    return BagMap(ratio, f"/{namespace}" if namespace else "", motor == "torque", effort, _period("bag.", given))
 
 
 def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
@@ -150,8 +149,15 @@ def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
     delimiter = document.get("delimiter", ",")
     if not isinstance(delimiter, str) or len(delimiter) != 1:
         raise ParameterError(f"delimiter is {delimiter!r}; expected one character")
-    (held,) = np.abs(_numbers(HELD, document.get(HELD, 1.0), 1))
-    return TableMap(TableColumn(time["column"], float(scale)), signals, delimiter, float(held))
+    return TableMap(TableColumn(time["column"], float(scale)), signals, delimiter, _period("", document))
+
+
+def _period(prefix: str, given: Mapping[Any, Any]) -> float:
+    """Return the period of the controller [s], inf if it is not given."""
+    value = given.get(HELD, math.inf)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+        raise ParameterError(f"{prefix}{HELD} is {value!r}; expected seconds above 0")
+    return float(value)
 
 
 def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, TableColumn]:
