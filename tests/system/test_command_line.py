@@ -60,6 +60,7 @@ REFUSED = [
     ("check paper_k31 --error payload=0.1 --error payload=0.2", 2, "'payload' is given 2 times; expected it once"),
     ("check two_link --error stiffness=0.1,0.2,0.3", 2, "'stiffness' is [0.1, 0.2, 0.3]; expected one number or 2"),
     ("check paper_k31 --error payload", 2, "'' is not an error of payload; expected NAME=VALUE with 0 or a posit"),
+    ("check paper_k31 --error stiffness=-5%", 2, "'-5%' is not an error of stiffness; expected NAME=VALUE with 0 or "),
     ("check paper_k31 --error link_torque=5%", 2, "'5%' is not an error of link_torque; expected NAME=VALUE with 0"),
     ("check paper_k31 --delay 1 --set robust.residual_gain:=[60.0]", 2, "robust.* is enabled; expected a static law"),
     ("check paper_k31 --set publish_rate:=20.0 --set inner_steps:=1", 1, "inner_steps is 1, too few for rk4"),

@@ -24,12 +24,12 @@ from .ros2 import installed_files
 PATH = click.Path(path_type=Path)
 
 
-def number(noun: str, expected: str, accepts: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return a converter of text to a number; it raises click.BadParameter where `accepts` is false or for NaN."""
+def number(noun: str, expected: str, accepts: Callable[[float], bool], percent: bool = False) -> Callable[[str], float]:
+    """Return a converter of text, also in `percent`, to a number; it raises click.BadParameter unless it `accepts`."""
 
     def convert(text: str) -> float:
         try:
-            value = float(text)
+            value = float(text[:-1]) / 100 if percent and text.endswith("%") else float(text)
         except ValueError:
             value = math.nan
         if not accepts(value):
@@ -63,9 +63,9 @@ def model_error(text: str) -> tuple[str, float | list[float]]:
     if name == "link_inertia":
         tell("--error link_inertia is deprecated; use link_central_inertia")
         name = "link_central_inertia"
-    convert = number(f"an error of {name}", "NAME=VALUE with 0 or a positive number", lambda size: 0 <= size < math.inf)
-    relative, parts = name not in ABSOLUTE, value.split(",")
-    first, *others = (convert(part[:-1]) / 100 if relative and part[-1:] == "%" else convert(part) for part in parts)
+    noun, expected = f"an error of {name}", "NAME=VALUE with 0 or a positive number"
+    convert = number(noun, expected, lambda size: 0 <= size < math.inf, percent=name not in ABSOLUTE)
+    first, *others = map(convert, value.split(","))
     return name, [first, *others] if others else first
 
 
