@@ -32,7 +32,7 @@ print(sum(len(open(file, encoding="utf-8").readlines()) for file in files if fil
 HEADINGS = ("folder", "modules", "lines", "lines a module", "functions", "median function")
 
 
-def main() -> int:
+def main() -> int | str:
     """Print a row for each package, and for tests, bench and tools, in Markdown."""
     packages = sorted(path for path in (ROOT / "ros2_ws" / "src").iterdir() if path.is_dir())
     found = {path.name: sorted(path.rglob("*.py")) for path in packages}
@@ -45,7 +45,9 @@ def main() -> int:
     pages = [*ROOT.glob("docs/*.md"), *ROOT.glob("*.md")]
     print(f"\n{sum(len(page.read_text(encoding='utf-8').split()) for page in pages):,} words on {len(pages)} pages")
     for name, act in WALKS.items() if "--walks" in sys.argv else ():
-        ran = subprocess.run([sys.executable, "-c", act + REACHED], capture_output=True, text=True, check=True)
+        ran = subprocess.run([sys.executable, "-c", act + REACHED], capture_output=True, text=True, check=False)
+        if ran.returncode:
+            return f"'{name}' failed: {ran.stderr.splitlines()[-1]}; expected . ros2_ws/install/setup.sh before it"
         print("{}: {:,} lines in {} modules".format(name, *map(int, ran.stdout.split())))
     return 0
 
