@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from fjr_design.studies.study import ClusterError, Columns, cluster, open_store
-from fjr_design.studies.sweep import planned, run_part
+from fjr_design.studies.sweep import Sweep, planned
 from fjr_design.studies.sweep_run import carry_out, jobs_of
 from system.browser import Browser
 from system.executables import Start, documented_keys, fjr_here, wait_for
@@ -80,7 +80,7 @@ def test_dask_cluster_that_loses_a_worker_gives_the_same_bytes(tmp_path: Path, l
     plan = planned(name)
     with open_store(tmp_path / "cluster", plan.text, "program") as store, cluster(address) as workers:
         assert workers.count == 2
-        store.run(workers, run_part, jobs_of(plan), threading.Event(), lose_one)
+        store.run(workers, Sweep.part, jobs_of(plan), threading.Event(), lose_one)
         assert carry_out(plan, store, workers, threading.Event()).read_bytes() == table(tmp_path)
     assert killed
     assert not Path(f"/proc/{killed[0]}/stat").exists() or "Z" in Path(f"/proc/{killed[0]}/stat").read_text()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 import threading
@@ -19,9 +20,9 @@ from scipy import stats
 from fjr_core import ParameterError
 from fjr_core.errors import MissingPackageError
 from fjr_design.batch import draws
-from fjr_design.studies import sensitivity, study, sweep, sweep_run
+from fjr_design.studies import sensitivity, study, sweep
 from fjr_design.studies.study import StoreError, Workers, threads
-from fjr_design.studies.sweep import Columns, Sweep, from_text
+from fjr_design.studies.sweep import Columns, Sweep
 from fjr_design.studies.sweep_run import carry_out, jobs_of
 from fjr_msgs_py.console.ending import Interrupted
 from fuzzing import refused
@@ -128,10 +129,13 @@ def test_payload_position_does_not_depend_on_the_partition() -> None:
         assert fixed.draws(0, runs).columns("payload_position", 1).tolist() == [[0.1, 0.2, 0.3]] * runs
 
 
-def test_study_round_trips_through_text() -> None:
+def test_a_study_reaches_another_process_as_its_text_and_is_made_of_it_once() -> None:
     plan = sweep_of()
-    assert from_text(plan.text) == plan
-    assert from_text(plan.text).text == plan.text
+    again, *others = (pickle.loads(pickle.dumps(plan)) for _ in range(3))
+    assert again is not plan
+    assert (again, again.text) == (plan, plan.text)
+    assert all(other is again for other in others)
+    assert again.part(3, 5)["rms.joint1"].tobytes() == plan.part(3, 5)["rms.joint1"].tobytes()
 
 
 def test_success_is_stable_and_within_every_limit() -> None:
@@ -154,11 +158,12 @@ def test_table_is_byte_identical_for_any_number_of_cores_and_any_order(tmp_path:
 def test_finished_parts_are_not_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan, stop, asked = sweep_of(), threading.Event(), []
 
-    def counted(text: str, begin: int, end: int) -> Columns:
+    def counted(plan: Sweep, begin: int, end: int) -> Columns:
         asked.append(begin)
-        return sweep.run_part(text, begin, end)
+        return part(plan, begin, end)
 
-    monkeypatch.setattr(sweep_run, "run_part", counted)
+    part = Sweep.part
+    monkeypatch.setattr(Sweep, "part", counted)
     with opened(tmp_path / "a", plan) as kept, threads(1) as workers:
         with pytest.raises(Interrupted) as ended:
             kept.run(workers, counted, jobs_of(plan), stop, lambda columns: stop.set())

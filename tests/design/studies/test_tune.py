@@ -34,7 +34,6 @@ from fjr_design.studies.tune import (
     Score,
     TuningStudy,
     search,
-    study_of,
     with_better_start,
 )
 from fjr_design.uncertainty.posterior import IDENTIFIED, LINEAR, LOG, Estimate, Identification
@@ -146,7 +145,7 @@ def test_the_gains_of_the_scenario_run_also_in_a_search_that_starts_elsewhere() 
     own = elsewhere.run(OF_SCENARIO, 0, 4)
     assert np.array_equal(own["rms"], given.run(given.origin, 0, 4)["rms"])
     assert not np.array_equal(own["rms"], elsewhere.run(elsewhere.origin, 0, 4)["rms"])
-    assert study_of(elsewhere.text).run(OF_SCENARIO, 0, 4)["rms"] == pytest.approx(own["rms"])
+    assert TuningStudy.from_text(elsewhere.text).run(OF_SCENARIO, 0, 4)["rms"] == pytest.approx(own["rms"])
     assert elsewhere.score(OF_SCENARIO, own) == given.score(given.origin, own)
 
 
@@ -174,8 +173,8 @@ def test_candidates_run_the_plants_of_a_posterior() -> None:
     posterior = Identification(("joint1",), estimates, (0, 1), (LOG, LINEAR), mean, covariance).as_dict()
     sweep = Sweep("joint", text(), 1, {}, duration=0.3, settle_after=0.1, posterior=posterior)
     known_goal = Goal({"rms": 1.0}, quantile=0.9, limits={"effort_peak": 30.0})
-    given = study_of(TuningStudy(sweep, known_goal, 8, 20, 16).text)
-    assert study_of(given.text).text == given.text
+    given = TuningStudy.from_text(TuningStudy(sweep, known_goal, 8, 20, 16).text)
+    assert TuningStudy.from_text(given.text).text == given.text
     runs, columns = given.run([0.0] * 6, 2, 6), sweep.part(2, 6)
     assert np.array_equal(runs["rms"], columns["rms.joint1"])
     assert np.array_equal(runs[SUCCESS], columns["success"])

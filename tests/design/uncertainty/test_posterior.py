@@ -17,7 +17,7 @@ from fjr_design.batch import Draws, draws, parametric_robot
 from fjr_design.batch.parametric_robot import WHOLE, ParametricPlant
 from fjr_design.studies import sweep
 from fjr_design.studies.suite import uncertainties
-from fjr_design.studies.sweep import Sweep, from_text
+from fjr_design.studies.sweep import Sweep
 from fjr_design.uncertainty.posterior import (
     IDENTIFIED,
     LINEAR,
@@ -145,7 +145,7 @@ def test_marginal_shares_of_the_draws_are_uniform(whole: Any) -> None:
 
 
 def test_the_text_of_a_study_keeps_the_posterior() -> None:
-    again = from_text(study().text)
+    again = Sweep.from_text(study().text)
     assert np.array_equal(again.draws(3, 5).values["stiffness"], study().draws(3, 5).values["stiffness"])
     columns = again.part(0, 2)
     assert columns["stiffness.joint1"] == pytest.approx(study().draws(0, 2).values["stiffness"][:, 0])

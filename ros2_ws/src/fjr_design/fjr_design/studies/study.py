@@ -4,7 +4,8 @@
 A study is its description, plain values: studies with equal descriptions, run by the same program, have equal results.
 It consists of independent jobs, each of which is kept as soon as it is finished, so that the same command goes on where
 Ctrl-C, a kill or a power cut ended it. Jobs run in threads (a sweep: compiled runs release the GIL), in processes (a
-comparison: much of its work is Python) or on a Dask cluster, with equal results. The folder of a sweep or a tuning:
+comparison: much of its work is Python) or on a Dask cluster, with equal results. Threads share the study of the jobs;
+another process or machine makes it from its description (`sent_as_text`). The folder of a sweep or a tuning:
 
 study.json       description of the study and hash of the program
 parts/           <key>.parquet: the runs of each finished job
@@ -20,6 +21,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -27,7 +29,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +43,6 @@ LOOK = 0.2  # s between checks of `stop`
 DESCRIPTION = "study.json"
 Columns = dict[str, NDArray[Any]]  # values of the runs of a job by name, (runs,) each
 Job = tuple[Any, ...]  # arguments of the function that computes the result of a job
-Result = TypeVar("Result")
 
 
 class StoreError(FjrError):
@@ -80,18 +81,29 @@ class Kept:
         on_kept: Callable[[Any], object] = lambda result: None,
         on_look: Callable[[], object] = lambda: None,
     ) -> None:
-        """Run work(*job) for the jobs by their keys that are not finished, and keep the result of each.
+        """Run work(*job) for the jobs by their keys that are not finished; keep each result, in this thread.
 
-        on_kept: called with each. on_look: see Workers.run. Raise Interrupted if `stop` was set, and what that does.
+        on_kept: called with each result. on_look: called at least every LOOK. Raise Interrupted if `stop` is set, the
+        error of the first job that fails, without waiting for the others, ClusterError for one on another machine.
         """
-
-        def keep(key: str, result: Any) -> None:
-            self.keep(key, result)
-            on_kept(result)
-
-        left = {key: job for key, job in jobs.items() if not self.holds(key)}
-        if not workers.run(work, left, keep, stop, on_look):
-            raise Interrupted(self.folder if any(map(self.holds, jobs)) else None)
+        waiting = iter([(key, job) for key, job in jobs.items() if not self.holds(key)])
+        pending: dict[Future[Any], str] = {}
+        try:
+            while not stop.is_set():
+                for key, job in islice(waiting, AHEAD * workers.count - len(pending)):
+                    pending[workers.executor.submit(work, *job)] = key
+                if not pending:
+                    return
+                done, _ = wait(pending, timeout=LOOK, return_when=FIRST_COMPLETED)
+                for future in done:
+                    result = workers.result(future)
+                    self.keep(pending.pop(future), result)
+                    on_kept(result)
+                on_look()
+        finally:
+            for future in pending:
+                future.cancel()
+        raise Interrupted(self.folder if any(map(self.holds, jobs)) else None)
 
     def keep(self, key: str, result: Any) -> None:
         """Write the result of a finished job atomically."""
@@ -212,14 +224,40 @@ def divided(begin: int, end: int, size: int) -> list[tuple[int, int]]:
     return [(first, min(first + size, end)) for first in range(begin, end, size)]
 
 
-_making = threading.Lock()
-_made = lru_cache(maxsize=4)(lambda make, text: make(text))
+class Study(ABC):
+    """A study, an argument of its jobs: threads share it, another process or machine makes it of its text, once."""
+
+    @property
+    @abstractmethod
+    def text(self) -> str:
+        """Description as JSON; studies with equal text have equal results."""
+
+    @classmethod
+    @abstractmethod
+    def from_text(cls, text: str) -> Study:
+        """Return the study with this text."""
+
+    @abstractmethod
+    def build(self) -> None:
+        """Compile what the jobs need."""
+
+    def __reduce__(self) -> tuple[Callable[..., Study], tuple[type[Study], str]]:
+        return _received, (type(self), self.text)
 
 
-def once(make: Callable[[str], Result], text: str) -> Result:
-    """Return the study that `make` makes of its text, made once for all jobs and threads of a process."""
-    with _making:
-        return _made(make, text)
+_receiving = threading.Lock()
+
+
+def _received(kind: type[Study], text: str) -> Study:
+    with _receiving:
+        return _made(kind, text)
+
+
+@lru_cache(maxsize=4)
+def _made(kind: type[Study], text: str) -> Study:
+    study = kind.from_text(text)
+    study.build()
+    return study
 
 
 @dataclass(frozen=True)
@@ -230,36 +268,8 @@ class Workers:
     count: int
     remote: bool = False
 
-    def run(
-        self,
-        work: Callable[..., Result],
-        jobs: Mapping[str, Job],
-        keep: Callable[[str, Result], object],
-        stop: threading.Event,
-        on_look: Callable[[], object] = lambda: None,
-    ) -> bool:
-        """Run work(*job) for all jobs by their keys, keep(key, result) in this thread; return whether all are kept.
-
-        They are not if `stop` was set. on_look: called at least every LOOK. Raise the error of the first job that
-        fails, without waiting for the others; ClusterError for an error on another machine.
-        """
-        waiting, pending = iter(jobs.items()), dict[Future[Result], str]()
-        try:
-            while not stop.is_set():
-                for key, job in islice(waiting, AHEAD * self.count - len(pending)):
-                    pending[self.executor.submit(work, *job)] = key
-                if not pending:
-                    return True
-                done, _ = wait(pending, timeout=LOOK, return_when=FIRST_COMPLETED)
-                for future in done:
-                    keep(pending.pop(future), self._result(future))
-                on_look()
-            return False
-        finally:
-            for future in pending:
-                future.cancel()
-
-    def _result(self, future: Future[Result]) -> Result:
+    def result(self, future: Future[Any]) -> Any:
+        """Return the result of a job that is done; raise its error, ClusterError for one on another machine."""
         try:
             return future.result()
         except FjrError:

@@ -32,7 +32,7 @@ from ..batch.closed_loop import FIELDS, PER_JOINT
 from ..batch.draws import FIXED, FORM, PARAMETERS, Distribution, DrawnColumn, varied
 from ..batch.parametric_robot import FRICTION
 from ..uncertainty.posterior import Identification, PosteriorDraws, read_identification
-from .study import Columns, once
+from .study import Columns, Study
 
 OUTCOMES = {
     "rms": ("RMS error", "rad"),
@@ -82,7 +82,7 @@ def refuse_what_is_left_out(scenario: Scenario, instead: str) -> None:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class Sweep(Study):
     """Sweep of `runs` runs of `duration` [s] of a scenario, given as its self-contained text.
 
     vary: distributions or fixed values by field of Draws. posterior: plain values of an identification from which the
@@ -212,6 +212,16 @@ class Sweep:
         posterior = self.identified.columns.values() if self.identified else ()
         return (*found, *(each for columns in posterior for each in columns))
 
+    def build(self) -> None:
+        """Compile the loop of all runs."""
+        self.loop.build()
+
+    @classmethod
+    def from_text(cls, text: str) -> Sweep:
+        """Return the sweep with this text."""
+        values = json.loads(text)
+        return cls(**values | {"vary": varied(values["vary"])})
+
     @property
     def text(self) -> str:
         """Sweep as JSON; sweeps with equal text have equal results."""
@@ -233,23 +243,6 @@ class Sweep:
             return
         with prefixed("'vary', for every draw: "):
             Draws(2, **{name: np.array(one.range)})
-
-
-def from_text(text: str) -> Sweep:
-    """Return the sweep described by Sweep.text."""
-    values = json.loads(text)
-    return Sweep(**values | {"vary": varied(values["vary"])})
-
-
-def run_part(text: str, begin: int, end: int) -> Columns:
-    """Run a part of a sweep given as text, in a local or remote worker; see Sweep.part."""
-    return once(_built, text).part(begin, end)
-
-
-def _built(text: str) -> Sweep:
-    sweep = from_text(text)
-    sweep.loop.build()
-    return sweep
 
 
 def file_of(name: str | None) -> Path:

@@ -29,7 +29,7 @@ from fjr_msgs_py.console.output import Result, aligned, finite, json_text, numbe
 from ..batch.draws import FIXED, LOG_UNIFORM, PARAMETERS
 from .sensitivity import Effect, ReadColumn, Summary, shown, summarised
 from .study import Store, Workers, cluster, divided, open_store, threads
-from .sweep import OUTCOMES, Sweep, planned, run_part
+from .sweep import OUTCOMES, Sweep, planned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,14 +96,14 @@ def workers_of(plan: Sweep, cores: int, scheduler: str | None) -> AbstractContex
     """Return the workers of a sweep: a cluster, or threads of this process, for which its loop is compiled."""
     if scheduler is not None:
         return cluster(scheduler)
-    plan.loop.build()
+    plan.build()
     return threads(cores)
 
 
-def jobs_of(plan: Sweep) -> dict[str, tuple[str, int, int]]:
-    """Return the jobs of a sweep by their keys: its text, and (begin, end) of a part of its runs."""
+def jobs_of(plan: Sweep) -> dict[str, tuple[Sweep, int, int]]:
+    """Return the jobs of a sweep by their keys, arguments of Sweep.part: (begin, end) of a part of its runs."""
     parts = divided(0, plan.runs, min(LARGEST_PART, max(SMALLEST_PART, plan.runs // PARTS)))
-    return {f"{begin:09d}-{end:09d}": (plan.text, begin, end) for begin, end in parts}
+    return {f"{begin:09d}-{end:09d}": (plan, begin, end) for begin, end in parts}
 
 
 def carry_out(plan: Sweep, store: Store, workers: Workers, stop: threading.Event) -> Path:
@@ -119,7 +119,7 @@ def carry_out(plan: Sweep, store: Store, workers: Workers, stop: threading.Event
     if left:
         line = f"{plan.name}: {plural(left, 'run')} on {plural(workers.count, 'core')}"
         with progress_bar(line, PROGRESS, total=plan.runs, initial=done, desc=plan.name, unit=" runs") as bar:
-            store.run(workers, run_part, jobs, stop, lambda columns: bar.update(len(columns["run"])))
+            store.run(workers, Sweep.part, jobs, stop, lambda columns: bar.update(len(columns["run"])))
     if jobs:
         store.write_table(list(jobs))
     store.remove_parts()

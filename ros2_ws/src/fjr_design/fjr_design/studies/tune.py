@@ -27,8 +27,8 @@ from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.stability.linearization import spectral_radius
 
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
-from .study import Columns, once
-from .sweep import FIGURES, SUCCESS, Figures, Sweep, check_keys, figures, from_text, number, whole
+from .study import Columns, Study
+from .sweep import FIGURES, SUCCESS, Figures, Sweep, check_keys, figures, number, whole
 
 INFEASIBLE = 1e6  # cost of points that violate a constraint, at least; the cost of others is far below
 WORST = 1e3  # violation that counts at most
@@ -142,7 +142,7 @@ def quantile(values: Array, share: float) -> float:
 
 
 @dataclass(frozen=True)
-class TuningStudy:
+class TuningStudy(Study):
     """A search of gains for a goal over the draws of a sweep.
 
     start: of the search, SCENARIO or RULE. draws: runs of each candidate. candidates: number of them. fresh: runs
@@ -223,6 +223,19 @@ class TuningStudy:
         goal = {"goal": asdict(self.goal), "start": self.start}
         return json.dumps({**json.loads(self.sweep.text), **goal, **numbers}, indent=1)
 
+    @classmethod
+    def from_text(cls, text: str) -> TuningStudy:
+        """Return the study with this text."""
+        values: dict[str, Any] = json.loads(text)
+        goal, start = Goal(**values.pop("goal")), values.pop("start")
+        numbers = {name: values.pop(name) for name in SIZE}
+        return cls(Sweep.from_text(json.dumps(values)), goal, **numbers, start=start)
+
+    def build(self) -> None:
+        """Compile the loop of all candidates, and tune the start of the search."""
+        self.sweep.build()
+        _ = self.coordinates
+
 
 def with_better_start(study: TuningStudy) -> TuningStudy:
     """Return the study with the start that costs less on the draws of the search."""
@@ -233,26 +246,6 @@ def with_better_start(study: TuningStudy) -> TuningStudy:
     if study.sweep.scenario.certified_law is not None:
         with suppress(FjrError):  # the rule may have no gains for this robot; another error comes again in the search
             return min(study, replace(study, start=RULE), key=cost)
-    return study
-
-
-def study_of(text: str) -> TuningStudy:
-    """Return the study described by TuningStudy.text."""
-    values: dict[str, Any] = json.loads(text)
-    goal, start = Goal(**values.pop("goal")), values.pop("start")
-    numbers = {name: values.pop(name) for name in SIZE}
-    return TuningStudy(from_text(json.dumps(values)), goal, **numbers, start=start)
-
-
-def run_candidate(text: str, point: Point, begin: int, end: int) -> Columns:
-    """Run a part of the runs of a point of a study given as text, in a local or remote worker; see TuningStudy.part."""
-    return once(_built, text).part(point, begin, end)
-
-
-def _built(text: str) -> TuningStudy:
-    study = study_of(text)
-    study.sweep.loop.build()
-    _ = study.coordinates
     return study
 
 

@@ -46,7 +46,6 @@ from .tune import (
     TuningStudy,
     given_goal,
     quantile,
-    run_candidate,
     search,
     with_better_start,
 )
@@ -89,8 +88,8 @@ def kept_figures(
     on_progress: called with the number of runs of each part, also of a kept one. Raise Interrupted when `stop` is set.
     """
     parts = divided(*runs, LARGE if runs[1] - runs[0] >= MANY else SMALL)
-    jobs = {_key(point, *part): (study.text, point, *part) for point in points for part in parts}
-    store.run(workers, run_candidate, jobs, stop)
+    jobs = {_key(point, *part): (study, point, *part) for point in points for part in parts}
+    store.run(workers, TuningStudy.part, jobs, stop)
     for _, _, begin, end in jobs.values():
         on_progress(end - begin)
     kept = [[store.read(_key(point, *part)) for part in parts] for point in points]
