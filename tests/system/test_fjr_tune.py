@@ -115,12 +115,12 @@ def test_a_scenario_is_tuned_for_the_usual_uncertainties_also_with_another_law(f
 
 
 INVALID = {
-    "{draw: 5}": "'tune' has 'draw'; did you mean 'draws'?",
-    "{draws: 2.5}": "'tune' has 2.5 as 'draws'; expected a whole number",
-    "{draws: 0}": "'tune' has 0 as 'draws'; expected 1 to 10000000",
-    "{minimise: rms}": "'tune' has 'rms' as 'minimise'; expected figures and numbers",
-    "{quantile: high}": "'tune' has 'high' as 'quantile'; expected a number",
-    "{law: 3}": "'tune' has 3 as 'law'; expected the name of a law",
+    "{draw: 5}": "'tune': has 'draw'; did you mean 'draws'?",
+    "{draws: 2.5}": "'tune': has 2.5 as 'draws'; expected a whole number",
+    "{draws: 0}": "'tune': has 0 as 'draws'; expected 1 to 1e+07",
+    "{minimise: rms}": "'tune': has 'rms' as 'minimise'; expected a mapping",
+    "{quantile: high}": "'tune': has 'high' as 'quantile'; expected a number",
+    "{law: 3}": "'tune': has 3 as 'law'; expected a text",
     "{law: pid}": "'pid'; expected one of v_dpbc",
     "[draws]": "as 'tune'; expected a mapping",
 }

@@ -21,10 +21,12 @@ from fjr_core.extensions.law_registry import LAWS
 from fjr_design.batch import ClosedLoop, Draws, draws
 from fjr_design.studies.compare_run import tuned_law
 from fjr_design.studies.coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
+from fjr_design.studies.sections import section
 from fjr_design.studies.suite import LawChoice
 from fjr_design.studies.sweep import Sweep
 from fjr_design.studies.tune import (
     FIGURES,
+    GOAL,
     INFEASIBLE,
     OF_SCENARIO,
     SUCCESS,
@@ -249,14 +251,14 @@ def test_search_ends_on_an_active_constraint() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"minimise": {"speed": 1.0}}, "'minimise' has 'speed'; expected some of rms"),
-        ({"minimise": {"rms": 0.0}}, "'minimise' has 0.0 as 'rms'; expected a positive number"),
-        ({"minimise": {}}, "'minimise' is empty"),
-        ({"quantile": 1.5}, "'quantile' is 1.5; expected 0 to 1"),
-        ({"delay_margin": -1.0}, "'delay_margin' is -1.0; expected 0 to 20 samples"),
-        ({"limits": {"rms": float("nan")}}, "'limits' has nan as 'rms'"),
+        ({"minimise": {"speed": 1.0}}, "'minimise': has 'speed'; expected some of rms"),
+        ({"minimise": {"rms": 0.0}}, "'minimise': has 0.0 as 'rms'; expected 1e-12 to 1e[+]12"),
+        ({"minimise": {}}, "has {} as 'minimise'; expected some of rms"),
+        ({"quantile": 1.5}, "has 1.5 as 'quantile'; expected 0 to 1"),
+        ({"delay_margin": -1.0}, "has -1.0 as 'delay_margin'; expected 0 to 20"),
+        ({"limits": {"rms": float("nan")}}, "'limits': has nan as 'rms'"),
     ],
 )
 def test_goals_out_of_range_are_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
-        Goal(**change)
+        section(change, GOAL)

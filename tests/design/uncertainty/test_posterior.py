@@ -172,7 +172,7 @@ def test_a_sweep_file_names_the_posterior(tmp_path: Path) -> None:
     (tmp_path / "identification.json").write_text(json.dumps(identification().as_dict()), encoding="utf-8")
     (tmp_path / "joint.yaml").write_text(SCENARIO)
     document = {"scenario": "joint.yaml", "posterior": "identification.json"}
-    found, _ = sweep.described(tmp_path / "mine.yaml", document, {}, {})
+    found = sweep.described(tmp_path / "mine.yaml", document, {}, {})
     assert found.posterior == identification().as_dict()
     with pytest.raises(ParameterError, match="expected 'posterior', or 'vary'"):
         sweep.read({"scenario": "paper_k31"})
@@ -190,7 +190,7 @@ def test_a_deviation_under_its_former_name_is_drawn_as_before_and_reported_once_
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     given = {"uniform": [0.0, 1.0]}
-    checked = uncertainties({"vary": {"external": given}})["vary"]
+    checked = uncertainties("tune", {"vary": {"external": given}})["vary"]
     said = capsys.readouterr().err
     assert "'external' under 'vary' is deprecated; use 'link_torque'" in said
     assert said.count("deprecated") == 1

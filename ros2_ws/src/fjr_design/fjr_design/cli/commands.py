@@ -24,7 +24,9 @@ from fjr_msgs_py.console.output import tell
 def _drawn_plants_options(cores: str) -> Callable[[Any], Any]:
     """Return a decorator with the options that `sweep` and `tune` share; cores: default."""
     shared = (
-        click.option("--seed", type=int, metavar="N", help="Seed of all random numbers. [default: the file's, else 0]"),
+        click.option(
+            "--seed", type=options.SEED, metavar="N", help="Seed of all random numbers. [default: the file's, else 0]"
+        ),
         duration_option("Duration of a run in seconds. [default: the file's, else 5]"),
         click.option(
             "--cores", type=options.cores, metavar="N", default=cores, help="Cores of this machine, or `all`."

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +18,16 @@ from fjr_core.robust.options import Robust
 from fjr_msgs_py.scenarios import library
 
 from ..batch.draws import varied
-from .sweep import check_keys, is_finite, mapping, number, refuse_what_is_left_out, whole
-from .trial import TRACKS, directions, imperfection
-from .tune import GOAL, HERE, Goal, given_goal
+from .sections import Reader, between, each, listed, mapping, number, section, subsection, whole
+from .sweep import refuse_what_is_left_out
+from .trial import IMPERFECTIONS, TRACKS, directions
+from .tune import GOAL, SIZE, Goal
 
-REQUIRED = ("laws", "robots")
-KEYS = (*REQUIRED, "imperfections", "margins", "duration", "settle_after", "tracks", "tune")
 NOMINAL = "nominal"
 CHANGED = ("reference.", "initial_")  # parameters that references of one robot may change
 GAINS = ("scenario", TUNED := "tuned")  # of v-dPBC
 LONGEST, LONGEST_JOIN = 600.0, 10.0  # s
-NUMBERS: Mapping[str, Callable[[str, object, str], float]] = {"seed": whole, "duration": number, "settle_after": number}
-"""Numbers of a sweep that the section `tune` may have."""
+FASTEST = 1e6  # 1/s; of a robust option
 ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
 
 
@@ -88,82 +86,88 @@ def load(path: Path) -> Suite:
 
 def read(name: str, document: Any) -> Suite:
     """Return the suite of a parsed document; raise ParameterError."""
-    given = _mapping("a suite", document)
-    check_keys(given, KEYS)
-    for key in REQUIRED:
-        if not given.get(key):
-            raise CompareError(f"has no '{key}'; expected at least one")
-    duration = _number("duration", given.get("duration", 6.0), lambda value: 0 < value <= LONGEST)
-    robots = _mapping("'robots'", given["robots"])
-    margins = given.get("margins", [])
-    if not isinstance(margins, list):
-        raise CompareError(f"'margins' is {margins!r}; expected a list of imperfections")
-    directions(margins := [str(name) for name in margins])
-    return Suite(
-        name=name,
-        laws=_laws(given["laws"]),
-        robots=tuple(_robot(label, each) for label, each in robots.items()),
-        imperfections=_imperfections(given.get("imperfections", {})),
-        margins=tuple(margins),
-        duration=duration,
-        settle_after=_number("settle_after", given.get("settle_after", duration / 2), lambda v: 0 <= v < duration),
-        tracks=_number("tracks", given.get("tracks", TRACKS), lambda value: 0 < value < 1),
-        tune=uncertainties(_mapping("'tune'", given["tune"])) if "tune" in given else None,
-    )
+    given = section(document, SUITE, required=("laws", "robots"))
+    duration = given.setdefault("duration", 6.0)
+    usual = {"imperfections": {}, "margins": (), "settle_after": duration / 2, "tracks": TRACKS, "tune": None}
+    found = Suite(name, **{**usual, **given})
+    _check_settling(found.settle_after, found.duration)
+    return replace(found, imperfections={NOMINAL: {}, **found.imperfections})  # the nominal plant first
 
 
-def _laws(given: Any) -> tuple[LawChoice, ...]:
-    if not isinstance(given, list):
-        raise CompareError(f"'laws' is {given!r}; expected a list")
-    laws = tuple(_law(each) for each in given)
+def _check_settling(settle_after: float, duration: float) -> None:
+    if not 0 <= settle_after < duration:
+        raise ParameterError(
+            f"'settle_after' is {settle_after} and 'duration' {duration} s; expected 0 to less than the duration"
+        )
+
+
+def _laws(key: str, given: Any) -> tuple[LawChoice, ...]:
+    laws = tuple(map(_law, listed(key, given)))
     labels = [law.label for law in laws]
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice is not None:
-        raise CompareError(f"law '{twice}' is listed twice; expected different labels")
+        raise ParameterError(f"law '{twice}' is listed twice; expected different labels")
     return laws
 
 
 def _law(given: Any) -> LawChoice:
-    if isinstance(given, str):
-        return LawChoice(given, _known_law(given))
-    label, law = str(_mapping("a law", given).get("label", given.get("law"))), _known_law(given.get("law"))
-    check_keys(given, ("label", "law", "robust", "gains", "options", "join"), f"law '{label}' ")
-    robust = _mapping(f"'robust' of {label}", given.get("robust", {}))
-    check_keys(robust, ROBUST, f"'robust' of {label} ")
-    gains, own = given.get("gains"), _mapping(f"'options' of {label}", given.get("options", {}))
-    if own and not is_named(law):
-        raise CompareError(f"law '{label}' has options; expected them for a law of your own, module:Class")
+    named = given if isinstance(given, Mapping) else {"law": given}
+    label = str(named.get("label", named.get("law")))
+    found = section(named, LAW, f"law '{label}': ", required=("law",))
+    law, gains = found["law"], found.pop("gains", None)
+    if found.get("options") and not is_named(law):
+        raise ParameterError(f"law '{label}' has options; expected them for a law of your own, module:Class")
     if gains not in (None, *GAINS) or (gains and law != V_DPBC):
-        raise CompareError(
+        raise ParameterError(
             f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, for {V_DPBC} only, other laws are tuned"
         )
-    numbers = {key: _number(f"robust.{key}", value, lambda v: v >= 0) for key, value in robust.items()}
-    join = _number(f"'join' of {label}", given.get("join", 0.0), lambda value: 0 <= value <= LONGEST_JOIN)
-    return LawChoice(label, law, numbers, gains == TUNED, own, join)
+    return LawChoice(**{**found, "label": label}, retune=gains == TUNED)
 
 
-def _known_law(name: Any) -> str:
+def _known_law(_key: str, name: Any) -> str:
     if is_named(name):
         load_class(name)
     elif not isinstance(name, str) or name not in LAWS:
-        raise CompareError(f"unknown law '{name}': expected one of {', '.join(LAWS)}, or module:Class of your own")
+        raise ParameterError(f"unknown law '{name}': expected one of {', '.join(LAWS)}, or module:Class of your own")
     return str(name)
 
 
 def _robot(label: str, given: Any) -> RobotChoice:
-    options = _mapping(f"robot '{label}'", given)
-    check_keys(options, ("scenario", "references"), f"robot '{label}' ")
-    name = str(options.get("scenario", label))
-    references = _mapping(f"'references' of {label}", options.get("references") or {"scenario": {}})
-    changes = {str(key): _mapping(f"reference '{key}' of {label}", value or {}) for key, value in references.items()}
-    for reference, each in changes.items():
-        for key in each:
-            if not str(key).startswith(CHANGED):
-                raise CompareError(
-                    f"reference '{reference}' of {label} changes '{key}'; expected names that begin with "
-                    f"{' or '.join(CHANGED)}: the robot is the same along all of them"
-                )
-    return RobotChoice(str(label), name, changes)
+    found = section(given, ROBOT, f"robot '{label}': ")
+    return RobotChoice(label, found.get("scenario", label), found.get("references") or {"scenario": {}})
+
+
+def _changes(reference: str, given: Any) -> Mapping[str, Any]:
+    for name in mapping(reference, given):
+        if not str(name).startswith(CHANGED):
+            raise ParameterError(
+                f"reference '{reference}' changes '{name}'; expected names that begin with {' or '.join(CHANGED)}: "
+                "the robot is the same along all of them"
+            )
+    return dict(given)
+
+
+def _levels(name: str, given: Any) -> dict[str, float]:
+    if name == NOMINAL:
+        raise ParameterError(f"an imperfection is called '{NOMINAL}'; expected another name: this is the ideal plant")
+    return dict(LEVELS(name, given))
+
+
+def _margins(key: str, given: Any) -> tuple[str, ...]:
+    names = tuple(map(str, listed(key, given)))
+    directions(names)  # raises CompareError
+    return names
+
+
+def uncertainties(key: str, given: Any) -> dict[str, Any]:
+    """Return the section `tune` of a comparison, checked and complete.
+
+    A deviation under its former name is reported and has its present one in the result, which worker processes read.
+    """
+    found = {**USUAL, **UNCERTAIN(key, given)}
+    with prefixed(f"'{key}': "):
+        _check_settling(found["settle_after"], found["duration"])
+        return {**found, "vary": {name: one.as_yaml for name, one in varied(found["vary"]).items()}}
 
 
 def scenario_texts(robot: RobotChoice, join: float = 0.0) -> tuple[tuple[str, str], ...]:
@@ -183,32 +187,6 @@ def scenario_texts(robot: RobotChoice, join: float = 0.0) -> tuple[tuple[str, st
     return tuple(texts)
 
 
-def _imperfections(given: Any) -> dict[str, dict[str, float]]:
-    """Return the levels by name, the nominal plant first."""
-    found: dict[str, dict[str, float]] = {NOMINAL: {}}
-    for name, levels in _mapping("'imperfections'", given).items():
-        if str(name) == NOMINAL:
-            raise CompareError(
-                f"an imperfection is called '{NOMINAL}'; expected another name: this one is the ideal plant"
-            )
-        each = _mapping(f"imperfection '{name}'", levels or {})
-        numbers = {axis: _number(f"'{axis}' of '{name}'", level, lambda _: True) for axis, level in each.items()}
-        found[str(name)] = {axis: imperfection(axis).checked(level) for axis, level in numbers.items()}
-    return found
-
-
-def _mapping(what: str, given: Any) -> dict[str, Any]:
-    if not isinstance(given, dict):
-        raise CompareError(f"{what} is {given!r}; expected a mapping")
-    return given
-
-
-def _number(what: str, given: Any, is_valid: Callable[[float], bool]) -> float:
-    if not is_finite(given) or not is_valid(given):
-        raise CompareError(f"{what} is {given!r}; expected a number in range")
-    return float(given)
-
-
 USUAL: Mapping[str, Any] = {
     "vary": {},
     "imperfections": {},
@@ -222,25 +200,28 @@ USUAL: Mapping[str, Any] = {
 }
 """What every law is tuned for where the section `tune` of a comparison is silent: deviations as in a sweep file, levels
 of imperfections, the fields of Goal, numbers of TuningStudy and of Sweep."""
-
-
-def uncertainties(section: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section `tune` of a comparison, checked and complete; raises ParameterError, CompareError.
-
-    A deviation under its former name is reported and has its present one in the result, which worker processes read.
-    """
-    goal, size = given_goal(section, list(USUAL))
-    found = {**USUAL, **goal, **size}
-    found |= {key: mapping(key, section[key], HERE) for key in ("vary", "imperfections") if key in section}
-    found |= {key: read(key, section[key], HERE) for key, read in NUMBERS.items() if key in section}
-    levels = {name: number(name, level, HERE) for name, level in found["imperfections"].items()}
-    found["imperfections"] = {name: imperfection(name).checked(level) for name, level in levels.items()}
-    with prefixed("'tune': "):
-        Goal(**{name: found[name] for name in GOAL})
-        if not 0 <= found["settle_after"] < found["duration"] <= LONGEST:
-            raise ParameterError(
-                f"'settle_after' is {found['settle_after']} and 'duration' {found['duration']} s; expected 0 to less "
-                f"than the duration, and this at most {LONGEST:g} s"
-            )
-        found["vary"] = {name: one.as_yaml for name, one in varied(found["vary"]).items()}
-    return found
+DURATION = between(1e-3, LONGEST)
+NUMBERS: Mapping[str, Reader] = {"seed": whole, "duration": DURATION, "settle_after": number}
+"""Readers of the numbers of a sweep that the section `tune` may have."""
+LEVELS = subsection({name: one.read for name, one in IMPERFECTIONS.items()})
+UNCERTAIN = subsection({"vary": mapping, "imperfections": LEVELS, **GOAL, **SIZE, **NUMBERS})
+LAW: Mapping[str, Reader] = {
+    "label": lambda _, label: str(label),
+    "law": _known_law,
+    "robust": subsection(dict.fromkeys(ROBUST, between(0, FASTEST))),
+    "gains": lambda _, gains: gains,
+    "options": mapping,
+    "join": between(0, LONGEST_JOIN),
+}
+ROBOT: Mapping[str, Reader] = {"scenario": lambda _, name: str(name), "references": each(_changes)}
+SUITE: Mapping[str, Reader] = {
+    "laws": _laws,
+    "robots": lambda key, given: tuple(each(_robot)(key, given).values()),
+    "imperfections": each(_levels),
+    "margins": _margins,
+    "duration": DURATION,
+    "settle_after": number,
+    "tracks": between(1e-6, 1.0),
+    "tune": uncertainties,
+}
+"""Readers of the keys of a suite, and of its laws, robots and section `tune`."""

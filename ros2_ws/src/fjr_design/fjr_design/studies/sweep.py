@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.config import ros_yaml
-from fjr_core.config.parameter import resembling
 from fjr_core.config.scenario import Scenario, left_out, parse_scenario
 from fjr_core.errors import ParameterError, prefixed
 from fjr_core.model.joints import joined
@@ -32,6 +30,7 @@ from ..batch.closed_loop import FIELDS, PER_JOINT
 from ..batch.draws import FIXED, FORM, PARAMETERS, Distribution, DrawnColumn, varied
 from ..batch.parametric_robot import FRICTION
 from ..uncertainty.posterior import Identification, PosteriorDraws, read_identification
+from .sections import Reader, between, mapping, number, section, string, subsection, whole
 from .study import Columns, Study
 
 OUTCOMES = {
@@ -52,12 +51,21 @@ Figures = Columns
 MOST_RUNS = 10**9
 REACH = 2.0  # largest product of friction rate and step; Runge-Kutta of order 4 is stable up to 2.78
 NOISE_SEED = "seed"
-WHOLE = ("runs", "seed")
-SECONDS = ("duration", "settle_after", "band", "lost")
 TUNE = "tune"  # what `fjr tune` does with the study; `fjr sweep` ignores it
-MAPPINGS = ("vary", "success", "set", TUNE)
 POSTERIOR = "posterior"
-KEYS = ("scenario", POSTERIOR, *MAPPINGS, *WHOLE, *SECONDS)
+OF_SWEEP: Mapping[str, Reader] = {
+    "success": subsection(dict.fromkeys(OUTCOMES, number)),
+    "runs": between(1, MOST_RUNS, whole),
+    "seed": between(0, 2**64 - 1, whole),
+    **dict.fromkeys(("duration", "settle_after", "band", "lost"), number),
+}
+KEYS: Mapping[str, Reader] = {
+    "scenario": string,
+    POSTERIOR: string,
+    **dict.fromkeys(("vary", "set", TUNE), mapping),
+    **OF_SWEEP,
+}
+"""Readers of the keys of a sweep file; those of OF_SWEEP have the fields of Sweep of the same name."""
 RUNS = 1000
 
 
@@ -103,13 +111,6 @@ class Sweep(Study):
     posterior: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        if not 1 <= self.runs <= MOST_RUNS:
-            raise ParameterError(f"'runs' is {self.runs}; expected 1 to {MOST_RUNS}")
-        if not 0 <= self.seed < 2**64:
-            raise ParameterError(f"'seed' is {self.seed}; expected 0 to 2^64 - 1")
-        for name in self.success:
-            if name not in OUTCOMES:
-                raise ParameterError(f"'success' has '{name}'; expected some of {', '.join(OUTCOMES)}")
         refuse_what_is_left_out(self.scenario, "a sweep draws these itself, use 'vary'")
         for name, distribution in self.vary.items():
             self._check(name, distribution)
@@ -259,23 +260,26 @@ def file_of(name: str | None) -> Path:
 def planned(name: str | None, assignments: Sequence[str] = (), **numbers: float | None) -> Sweep:
     """Return the sweep to run; raise FjrError. numbers: of the sweep, None keeps its own."""
     path, given = file_of(name), {key: value for key, value in numbers.items() if value is not None}
-    return described(path, ros_yaml.read(path, "sweep"), library.parse_assignments(assignments), given)[0]
+    return described(path, ros_yaml.read(path, "sweep"), library.parse_assignments(assignments), given)
 
 
-def described(
-    path: Path, document: Any, overrides: Mapping[str, Any], numbers: Mapping[str, Any]
-) -> tuple[Sweep, Mapping[str, Any]]:
-    """Return the sweep of a parsed file and its section `tune`, of a scenario the usual sweep; raise FjrError."""
+def described(path: Path, document: Any, overrides: Mapping[str, Any], replaced: Mapping[str, Any]) -> Sweep:
+    """Return the sweep of a parsed file, of a scenario the usual one; raise FjrError.
+
+    overrides: parameters of the scenario. replaced: numbers of the sweep that replace those of the file.
+    """
     if not is_one(document):
         text, loaded = library.as_run(path, overrides)
-        return Sweep(path.stem, text, vary=usual(loaded.sample_period), **{"runs": RUNS, **numbers}), {}
+        return Sweep(path.stem, text, vary=usual(loaded.sample_period), **{"runs": RUNS, **replaced})
     with prefixed(f"sweep {path.stem} "):
-        given, name = read(document), str(document["scenario"])
-        scenario = path.parent / name if os.path.isfile(path.parent / name) else library.find(name)
-        text, _ = library.as_run(scenario, {**document.get("set", {}), **overrides})
-        if document.get(POSTERIOR):
-            given["posterior"] = read_identification(path.parent / document[POSTERIOR]).as_dict()
-        return Sweep(path.stem, text, **{"runs": RUNS, **given, **numbers}), document.get(TUNE, {})
+        given = read(document)
+        beside = path.parent / given["scenario"]
+        scenario = beside if os.path.isfile(beside) else library.find(given["scenario"])
+        text, _ = library.as_run(scenario, {**given.get("set", {}), **overrides})
+        own = {key: given[key] for key in ("vary", *OF_SWEEP) if key in given}
+        if given.get(POSTERIOR):
+            own[POSTERIOR] = read_identification(path.parent / given[POSTERIOR]).as_dict()
+        return Sweep(path.stem, text, **{"runs": RUNS, **own, **replaced})
 
 
 def is_one(document: object) -> bool:
@@ -284,19 +288,12 @@ def is_one(document: object) -> bool:
 
 
 def read(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of Sweep that a parsed document gives, but for scenario and posterior; raise ParameterError."""
-    check_keys(document, KEYS)
-    given = {key: mapping(key, document.get(key, {})) for key in MAPPINGS}
-    vary = varied(given["vary"])
-    posterior = document.get(POSTERIOR, "")
-    if not isinstance(posterior, str):
-        raise ParameterError(f"has {posterior!r} as '{POSTERIOR}'; expected the path of an identification.json")
-    if not posterior and not any(one.kind != FIXED for one in vary.values()):
+    """Return the values that a parsed file gives, `vary` as distributions; raise ParameterError."""
+    given = section(document, KEYS)
+    vary = varied(given.get("vary", {}))
+    if not given.get(POSTERIOR) and not any(one.kind != FIXED for one in vary.values()):
         raise ParameterError(f"draws nothing; expected '{POSTERIOR}', or 'vary' with {FORM}")
-    success = {name: number(f"success.{name}", value) for name, value in given["success"].items()}
-    wholes = {key: whole(key, document[key]) for key in WHOLE if key in document}
-    numbers = {key: number(key, document[key]) for key in SECONDS if key in document}
-    return {"vary": vary, "success": success, **wholes, **numbers}
+    return {**given, "vary": vary}
 
 
 def usual(sample_period: float) -> dict[str, Distribution]:
@@ -311,38 +308,3 @@ def usual(sample_period: float) -> dict[str, Distribution]:
         "delay": {"uniform": [0.0, sample_period]},
     }
     return varied(document)
-
-
-def check_keys(given: Mapping[str, Any], keys: Sequence[str], where: str = "") -> None:
-    """Raise ParameterError for an unknown key, with the one it resembles; where: section, as a start of the message."""
-    for key in given:
-        if key not in keys:
-            close = resembling(str(key), keys)
-            hint = f"did you mean '{close}'?" if close else f"expected some of {', '.join(keys)}"
-            raise ParameterError(f"{where}has '{key}'; {hint}")
-
-
-def mapping(name: str, value: object, where: str = "") -> Mapping[str, Any]:
-    """Return a section of the file; raise ParameterError for anything else."""
-    if not isinstance(value, Mapping):
-        raise ParameterError(f"{where}has {value!r} as '{name}'; expected a mapping")
-    return value
-
-
-def whole(name: str, value: object, where: str = "") -> int:
-    """Return a whole number of the file; raise ParameterError for anything else."""
-    if not is_finite(value) or value != int(value):
-        raise ParameterError(f"{where}has {value!r} as '{name}'; expected a whole number")
-    return int(value)
-
-
-def number(name: str, value: object, where: str = "") -> float:
-    """Return a finite number of the file; raise ParameterError for anything else."""
-    if not is_finite(value):
-        raise ParameterError(f"{where}has {value!r} as '{name}'; expected a number")
-    return float(value)
-
-
-def is_finite(value: object) -> TypeGuard[int | float]:
-    """Return whether a value is a number that is finite as a double."""
-    return not isinstance(value, bool) and isinstance(value, (int, float)) and abs(value) <= sys.float_info.max

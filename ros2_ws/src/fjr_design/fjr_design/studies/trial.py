@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fjr_core.errors import CompareError
+from fjr_core.errors import CompareError, ParameterError
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
@@ -26,6 +26,7 @@ from fjr_msgs_py.console.output import finite
 
 from ..batch import ClosedLoop, Draws
 from ..batch.draws import PARAMETERS
+from .sections import number
 from .sweep import REACH, figures
 
 INSTANTS = 4096
@@ -101,13 +102,13 @@ class Imperfection:
         """Return the factor from a level to its number on the axis: of factors 1, else to ms, mrad or %."""
         return 1.0 if self.is_factor else 1e3 if self.unit in ("s", "rad") else 100.0
 
-    def checked(self, level: float) -> float:
-        """Return a valid level; raises CompareError for any other."""
-        fits = level > 0 if self.is_factor else level >= 0
-        if not (np.isfinite(level) and fits):
+    def read(self, key: str, given: Any) -> float:
+        """Return a level of a suite; raises ParameterError for one that is not valid."""
+        level = number(key, given)
+        if not (level > 0 if self.is_factor else level >= 0):
             expected = "a positive factor" if self.is_factor else f"0 or more [{self.unit}]"
-            raise CompareError(f"imperfection '{self.name}' is {level}; expected {expected}")
-        return float(level)
+            raise ParameterError(f"has {level} as '{key}'; expected {expected}")
+        return level
 
 
 TORQUE, SHARE = "of the torque of the motion", "[% of the motion's torque]"

@@ -14,7 +14,7 @@ import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,8 +27,9 @@ from fjr_core.runtime.velocity_observer import VelocityObserver
 from fjr_core.stability.linearization import spectral_radius
 
 from .coordinates import RULE, SCENARIO, SearchCoordinates, coordinates
+from .sections import Reader, between, subsection, whole
 from .study import Columns, Study
-from .sweep import FIGURES, SUCCESS, Figures, Sweep, check_keys, figures, number, whole
+from .sweep import FIGURES, SUCCESS, Figures, Sweep, figures
 
 INFEASIBLE = 1e6  # cost of points that violate a constraint, at least; the cost of others is far below
 WORST = 1e3  # violation that counts at most
@@ -69,7 +70,6 @@ class Goal:
 
     success: share of the draws that succeed (see Sweep). limits: largest quantile of a figure. delay_margin [samples]:
     the sampled loop is stable with every delay up to it, at the equilibria of a few configurations of the reference.
-    Raises ParameterError.
     """
 
     minimise: Mapping[str, float] = field(default_factory=lambda: {"rms": 1.0})
@@ -77,21 +77,6 @@ class Goal:
     success: float = 0.95
     limits: Mapping[str, float] = field(default_factory=dict)
     delay_margin: float = 0.0
-
-    def __post_init__(self) -> None:
-        for what, given in (("minimise", self.minimise), ("limits", self.limits)):
-            for name, value in given.items():
-                if name not in FIGURES:
-                    raise ParameterError(f"'{what}' has '{name}'; expected some of {', '.join(FIGURES)}")
-                if not 0 < value < np.inf:
-                    raise ParameterError(f"'{what}' has {value} as '{name}'; expected a positive number")
-        if not self.minimise:
-            raise ParameterError(f"'minimise' is empty; expected some of {', '.join(FIGURES)}")
-        for name in ("quantile", "success"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ParameterError(f"'{name}' is {getattr(self, name)}; expected 0 to 1")
-        if not 0 <= self.delay_margin <= 20:
-            raise ParameterError(f"'delay_margin' is {self.delay_margin}; expected 0 to 20 samples")
 
     def score(self, runs: Figures, instability: float = 0.0) -> Score:
         """Return the score of runs; instability: spectral radius above 1 within the delay margin, 0 if stable."""
@@ -110,30 +95,22 @@ class Goal:
         return Score(dict.fromkeys(FIGURES, float("inf")), 0.0, WORST, INFEASIBLE * (1 + WORST))
 
 
-GOAL = tuple(each.name for each in fields(Goal))
-SIZE = ("draws", "candidates", "fresh")
-"""Keys of the section `tune` of a sweep or a suite: fields of Goal, and numbers of a TuningStudy."""
-HERE = "'tune' "  # start of a message about it
+def _cost(key: str, given: Any) -> dict[str, float]:
+    if not given:
+        raise ParameterError(f"has {given!r} as '{key}'; expected some of {', '.join(FIGURES)}")
+    return dict(OF_FIGURES(key, given))
+
+
 MOST = 10**7  # candidates, draws
-
-
-def given_goal(section: Mapping[str, Any], keys: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return what a section `tune` gives of GOAL and of SIZE; raise ParameterError, also for other than these keys."""
-    check_keys(section, keys, HERE)
-    goal: dict[str, Any] = {}
-    for key in (key for key in GOAL if key in section):
-        given = section[key]
-        if key not in ("minimise", "limits"):
-            goal[key] = number(key, given, HERE)
-        elif isinstance(given, Mapping):
-            goal[key] = {str(name): number(f"{key}.{name}", value, HERE) for name, value in given.items()}
-        else:
-            raise ParameterError(f"{HERE}has {given!r} as '{key}'; expected figures and numbers, e.g. {{rms: 1.0}}")
-    size = {key: whole(key, section[key], HERE) for key in SIZE if key in section}
-    for key, count in size.items():
-        if not 1 <= count <= MOST:
-            raise ParameterError(f"{HERE}has {count} as '{key}'; expected 1 to {MOST}")
-    return goal, size
+OF_FIGURES = subsection(dict.fromkeys(FIGURES, between(1e-12, 1e12)))
+SIZE: Mapping[str, Reader] = dict.fromkeys(("draws", "candidates", "fresh"), between(1, MOST, whole))
+GOAL: Mapping[str, Reader] = {
+    "minimise": _cost,
+    "limits": OF_FIGURES,
+    **dict.fromkeys(("quantile", "success"), between(0, 1)),
+    "delay_margin": between(0, 20),
+}
+"""Readers of the section `tune` of a sweep or a suite: of the fields of Goal, and of numbers of a TuningStudy."""
 
 
 def quantile(values: Array, share: float) -> float:

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from fjr_core.config import ros_yaml
 from fjr_core.config.law import TYPE
-from fjr_core.errors import ParameterError
 from fjr_core.files.text_file import write_text
 from fjr_core.numerics.checks import Array
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, log_ticks, write_picture
@@ -30,9 +29,10 @@ from fjr_msgs_py.console.output import Result, aligned, json_text, percent, plur
 from fjr_msgs_py.scenarios import library
 
 from .coordinates import RULE, SCENARIO
+from .sections import mapping, section, string
 from .sensitivity import shown
 from .study import Store, Workers, divided, open_store
-from .sweep import OUTCOMES, TUNE, described, file_of
+from .sweep import OUTCOMES, TUNE, described, file_of, is_one
 from .sweep_run import PROGRESS, check_and_warn, workers_of
 from .tune import (
     GOAL,
@@ -44,7 +44,6 @@ from .tune import (
     Range,
     Score,
     TuningStudy,
-    given_goal,
     quantile,
     search,
     with_better_start,
@@ -63,15 +62,6 @@ SHOWN = {name: OUTCOMES[name] for name in ("rms", "peak")} | {
 AXES = "effort_noise", "effort_peak"
 QUANTILES = (0.5, 0.95)
 STARTS = {SCENARIO: "the scenario", RULE: "the rule of equal bandwidth"}
-
-
-def law_of(document: object) -> str | None:
-    """Return the law that the section of a parsed file names, None if none; raise ParameterError."""
-    section = document.get(TUNE) if isinstance(document, Mapping) else None
-    name = section.get(LAW) if isinstance(section, Mapping) else None
-    if name is not None and not isinstance(name, str):
-        raise ParameterError(f"'tune' has {name!r} as '{LAW}'; expected the name of a law")
-    return name
 
 
 def kept_figures(
@@ -118,13 +108,16 @@ class Tuned:
 
 def planned(name: str | None, law: str | None, assignments: Sequence[str], numbers: Mapping[str, Any]) -> TuningStudy:
     """Return the study to run; law, numbers: replace those of the file unless they are None. Raise FjrError."""
-    path = file_of(name)
+    path, given = file_of(name), {key: value for key, value in numbers.items() if value is not None}
     document = ros_yaml.read(path, "sweep")
-    chosen, given = law or law_of(document), {key: value for key, value in numbers.items() if value is not None}
+    own = dict(mapping(TUNE, document.get(TUNE, {}))) if is_one(document) else {}
+    tuned = section(
+        own | {key: given.pop(key) for key in SIZE if key in given}, {LAW: string, **GOAL, **SIZE}, "'tune': "
+    )
+    chosen = law or tuned.get(LAW)
     overrides = {**library.parse_assignments(assignments), **({TYPE.name: chosen} if chosen else {})}
-    size = {key: given.pop(key) for key in SIZE if key in given}
-    sweep, section = described(path, document, overrides, given)
-    goal, size = given_goal({**section, **size}, (LAW, *GOAL, *SIZE))
+    sweep = described(path, document, overrides, given)
+    goal, size = ({key: tuned[key] for key in keys if key in tuned} for keys in (GOAL, SIZE))
     return TuningStudy(sweep, Goal(**goal), **size)
 
 
