@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -23,9 +24,10 @@ from fjr_design.studies.trial import (
     STEPS,
     Direction,
     Metrics,
+    RobustnessMargin,
     Trial,
     directions,
-    margins,
+    margin,
     motion_demand,
 )
 
@@ -54,10 +56,8 @@ def test_the_search_finds_a_margin_anywhere(direction: Direction, place: float) 
     begin = max(ladder[0], ladder[1])
     edge = float(np.exp((1 - place) * np.log(begin) + place * np.log(direction.end)))
     less = direction.is_down
-    found = margins(
-        lambda levels: np.array([(level >= edge) if less else (level <= edge) for _, level in levels]), [direction]
-    )
-    level, beyond = found[direction.name].level, found[direction.name].beyond
+    found = margin(direction, lambda levels: (np.array(levels) >= edge) if less else (np.array(levels) <= edge))
+    level, beyond = found.level, found.beyond
     assert level is not None
     assert beyond is not None
     assert (beyond < edge <= level) if less else (level <= edge < beyond)
@@ -66,27 +66,27 @@ def test_the_search_finds_a_margin_anywhere(direction: Direction, place: float) 
 
 def test_levels_beyond_a_failing_one_are_ignored() -> None:
     direction = next(d for d in ALL if d.name == "delay up to")
-    gap = margins(lambda levels: np.array([not 1e-3 < level < 4e-3 for _, level in levels]), [direction])["delay up to"]
+    gap = margin(direction, lambda levels: np.array([not 1e-3 < level < 4e-3 for level in levels]))
     assert gap.level == pytest.approx(1e-3, rel=0.02)
 
 
 def test_no_margin_and_full_range_are_reported() -> None:
-    nothing = margins(lambda levels: np.zeros(len(levels), dtype=bool), ALL)
-    everything = margins(lambda levels: np.ones(len(levels), dtype=bool), ALL)
-    assert all(edge.level is None for edge in nothing.values())
-    assert {name: edge.level for name, edge in everything.items()} == {d.name: d.end for d in ALL}
-    assert all(edge.beyond is None for edge in everything.values())
+    for direction in ALL:
+        nominal = 1.0 if direction.imperfection.is_factor else 0.0
+        assert margin(direction, lambda levels: np.zeros(len(levels), dtype=bool)) == RobustnessMargin(None, nominal)
+        everything = margin(direction, lambda levels: np.ones(len(levels), dtype=bool))
+        assert everything == RobustnessMargin(direction.end, None)
 
 
 def test_all_levels_of_a_scan_are_evaluated_at_once() -> None:
     asked = []
 
-    def tracks(levels: list[tuple[str, float]]) -> np.ndarray:
+    def track(levels: Sequence[float]) -> np.ndarray:
         asked.append(len(levels))
-        return np.array([level < 2 for _, level in levels])
+        return np.array([level < 2 for level in levels])
 
-    margins(tracks, ALL)
-    assert len(asked) == 1 + ROUNDS
+    margin(next(d for d in ALL if d.name == "stiffness up to"), track)
+    assert asked == [STEPS + 1, *[PARTS + 2] * ROUNDS]
 
 
 @pytest.mark.parametrize("stiffness", [31.0, 10.0])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -40,8 +41,6 @@ TRACKS = 0.1  # largest RMS error of a tracking run, relative to the RMS motion
 STEPS = 16  # levels of the first scan, evenly spaced on a logarithmic scale
 PARTS = 7  # levels of each refinement, between both ends of a margin
 ROUNDS = 2  # of refinement
-Levels = Sequence[tuple[str, float]]
-Evaluation = Callable[[Levels], NDArray[np.bool_]]  # (imperfection, level) of k runs -> whether each run tracks (k,)
 
 
 @dataclass(frozen=True)
@@ -208,39 +207,20 @@ class RobustnessMargin:
     beyond: float | None
 
 
-def margins(tracks: Evaluation, directions: Sequence[Direction]) -> dict[str, RobustnessMargin]:
-    """Return the margins in all directions by name.
+def margin(direction: Direction, track: Callable[[Sequence[float]], NDArray[np.bool_]]) -> RobustnessMargin:
+    """Return the margin in a direction.
 
-    tracks: evaluates all levels of a scan at once. The search stops at the first level that fails; larger levels that
-    track again are ignored, because a robot may have any level in between.
+    track: returns whether the run at each of k levels tracks (k,). The search stops at the first level that fails;
+    larger levels that track again are ignored, because a robot may have any level in between.
     """
-    ladders = {direction.name: direction.ladder(STEPS) for direction in directions}
-    found = _scan(tracks, directions, ladders)
-    for _ in range(ROUNDS):
-        finer = {}
-        for name, one in found.items():
-            if one.level is not None and one.beyond:
-                spaced = np.linspace if one.level == 0.0 else np.geomspace
-                finer[name] = np.asarray(spaced(one.level, one.beyond, PARTS + 2), dtype=float)
-        found |= _scan(tracks, [d for d in directions if d.name in finer], finer)
-    return found
-
-
-def _scan(
-    tracks: Evaluation, directions: Sequence[Direction], ladders: Mapping[str, Array]
-) -> dict[str, RobustnessMargin]:
-    """Return the margins on ladders (levels,) of levels, which are evaluated at once."""
-    levels = [(d.imperfection.name, float(level)) for d in directions for level in ladders[d.name]]
-    results = iter(tracks(levels).tolist() if levels else ())
-    found = {}
-    for direction in directions:
-        ladder = ladders[direction.name].tolist()
-        each = [next(results) for _ in ladder]
-        failed = each.index(False) if False in each else len(each)
-        found[direction.name] = RobustnessMargin(
-            ladder[failed - 1] if failed else None, ladder[failed] if failed < len(each) else None
-        )
-    return found
+    levels = direction.ladder(STEPS).tolist()
+    for _ in range(1 + ROUNDS):
+        failed = [*track(levels), False].index(False)
+        if failed in (0, len(levels)):
+            return RobustnessMargin(levels[-1] if failed else None, None if failed else levels[0])
+        ends = levels[failed - 1], levels[failed]
+        levels = (np.geomspace if ends[0] else np.linspace)(*ends, PARTS + 2).tolist()
+    return RobustnessMargin(*ends)
 
 
 Metrics = dict[str, Any]
@@ -286,8 +266,8 @@ class Trial:
         ]
 
     def margins(self, directions: Sequence[Direction]) -> dict[str, RobustnessMargin]:
-        """Return the largest level of each imperfection up to which the loop tracks."""
-        return margins(self._track, directions)
+        """Return the largest level in each direction up to which the loop tracks, by the names of the directions."""
+        return {each.name: margin(each, partial(self._track, each.imperfection.name)) for each in directions}
 
     def curve(self, imperfection: str) -> tuple[Array, list[Metrics]]:
         """Return all evaluated levels of an imperfection in increasing order, with their metrics."""
@@ -305,8 +285,8 @@ class Trial:
         limit = np.broadcast_to(self.effort_limit, (len(runs), n))
         return Draws(len(runs), seed=0, effort_limit=limit, **columns)
 
-    def _track(self, levels: Levels) -> NDArray[np.bool_]:
-        new = [key for key in dict.fromkeys(levels) if key not in self.evaluated]
-        cells = self.metrics([{name: level} for name, level in new]) if new else []
-        self.evaluated |= dict(zip(new, cells, strict=True))
-        return np.array([self.evaluated[key]["tracks"] for key in levels])
+    def _track(self, name: str, levels: Sequence[float]) -> NDArray[np.bool_]:
+        new = [level for level in levels if (name, level) not in self.evaluated]
+        for level, cell in zip(new, self.metrics([{name: level} for level in new]) if new else [], strict=True):
+            self.evaluated[name, level] = cell
+        return np.array([self.evaluated[name, level]["tracks"] for level in levels])
