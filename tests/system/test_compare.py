@@ -76,6 +76,7 @@ def test_every_cell_and_margin_is_present(found: dict[str, Any]) -> None:
         assert list(result["margins"]) == ["stiffness down to", "stiffness up to", "delay up to"]
         assert list(result["cells"]) == ["slow", "fast"]
         assert all(list(cells) == ["nominal", "soft", "noisy"] for cells in result["cells"].values())
+    assert len({tuple(result["effort_limit_nm"]) for result in found["results"]["one joint"].values()}) == 1
     plain, robust = (found["results"]["one joint"][label]["cells"]["slow"] for label in ("v_dpbc", "v-dPBC + residual"))
     assert robust["soft"]["rms"] < 0.8 * plain["soft"]["rms"]  # its option takes effect
 

@@ -26,6 +26,7 @@ from fjr_core.stability.linearization import linearize, refuse_fast_integral, sp
 from fjr_design.stability.sampled_loop import contracting
 from fjr_design.studies.compare_run import tuned_law
 from fjr_design.studies.suite import LawChoice
+from fjr_design.tuning.equal_bandwidth import baseline_target
 from fjr_design.uncertainty.drawn_loops import radii_with_model_errors
 
 DRAWS = 24
@@ -257,5 +258,5 @@ def integrating(law: fjr.TrackingLaw, rate: float, q_l: np.ndarray) -> Loop:
 def test_comparison_reports_a_law_that_is_unstable_as_sampled() -> None:
     scenario = load_scenario("ros2_ws/src/fjr_bringup/scenarios/paper_k3p1.yaml")
     choices = [LawChoice("v-dPBC", "v_dpbc", {"integral_gain": rate}) for rate in (5.0, 40.0)]
-    sentences = [tuned_law(choice, scenario).tuning for choice in choices]
+    sentences = [tuned_law(choice, scenario, baseline_target(scenario)).tuning for choice in choices]
     assert ["unstable as sampled" in sentence for sentence in sentences] == [False, True]

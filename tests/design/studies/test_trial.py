@@ -30,6 +30,7 @@ from fjr_design.studies.trial import (
     margin,
     motion_demand,
 )
+from fjr_design.tuning.equal_bandwidth import baseline_target
 
 T = 1e-3
 ALL = directions(list(IMPERFECTIONS))
@@ -183,11 +184,11 @@ def test_strongest_friction_is_integrated_without_chatter(inertia: float) -> Non
 
 def test_a_comparison_has_the_law_with_its_options_beside_the_tuned_laws() -> None:
     scenario = parse_scenario("s", "/**: {ros__parameters: {joints: [joint1], limits: {effort: [20.0]}}}")
-    known, own = (tuned_law(LawChoice(name, name), scenario) for name in ("v_dpbc", "own_code:Wrapped"))
+    target = baseline_target(scenario)
+    own = tuned_law(LawChoice("mine", "own_code:Wrapped"), scenario, target)
     assert own.tuning == "not tuned: bandwidth 1 times the target, peak effort 1 times the target"
-    np.testing.assert_array_equal(own.effort_limit, known.effort_limit)
-    chosen = tuned_law(LawChoice("mine", "own_code:Pd", options={"K_p": 5.0}), scenario)
+    chosen = tuned_law(LawChoice("mine", "own_code:Pd", options={"K_p": 5.0}), scenario, target)
     assert chosen.gains == {"K_p": 5.0}
     assert "bandwidth 0." in chosen.tuning
     with pytest.raises(fjr.FjrError, match=r"Pd takes .*unexpected keyword argument 'K'"):
-        tuned_law(LawChoice("mine", "own_code:Pd", options={"K": 5.0}), scenario)
+        tuned_law(LawChoice("mine", "own_code:Pd", options={"K": 5.0}), scenario, target)

@@ -38,6 +38,7 @@ from fjr_design.studies.tune import (
     search,
     with_better_start,
 )
+from fjr_design.tuning.equal_bandwidth import baseline_target
 from fjr_design.uncertainty.posterior import IDENTIFIED, LINEAR, LOG, Estimate, Identification
 
 VARY: dict[str, Any] = {
@@ -83,12 +84,6 @@ def test_a_law_of_another_form_is_refused() -> None:
         study().sweep.loop.with_law(robust)
 
 
-def test_noise_in_the_effort_is_that_of_its_differences() -> None:
-    outcomes, samples = paper_loop(fjr.PAPER_GAINS).recorded(Draws(2, velocity_noise=[0.0, 0.1]))
-    changes = np.diff(samples.u, axis=1)[:, 49:]  # from settle_after on
-    assert outcomes.effort_noise == pytest.approx(np.sqrt(np.mean(changes**2, axis=1) / 2), rel=1e-9)
-
-
 @cache
 def of_law(law: str) -> tuple[Scenario, SearchCoordinates]:
     given = scenario(law={"type": law})
@@ -114,7 +109,7 @@ def test_a_parameter_file_of_any_point_gives_its_gains(law: str) -> None:
 
 def test_v_dpbc_may_start_at_the_rule_of_equal_bandwidth() -> None:
     given = scenario(robust={"residual_gain": [20.0]})
-    ruled = tuned_law(LawChoice("tuned", "v_dpbc", retune=True), given).gains
+    ruled = tuned_law(LawChoice("tuned", "v_dpbc", retune=True), given, baseline_target(given)).gains
     space = coordinates(given, RULE)
     assert list(space.values(np.zeros(7))["gains.K_md"]) == pytest.approx(np.ravel(ruled["K_md"]))
     assert list(space.values(np.zeros(7))["robust.residual_gain"]) == [20.0]

@@ -38,7 +38,7 @@ from fjr_msgs_py.scenarios import library
 
 from ..batch import scenario_loop
 from ..batch.draws import FIXED, Distribution, varied
-from ..tuning.equal_bandwidth import baseline_target, tune
+from ..tuning.equal_bandwidth import BaselineTarget, baseline_target, tune
 from . import compare_page, compare_results, suite
 from .study import Kept, processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
@@ -148,14 +148,19 @@ def work(job: Job, number: int = 0) -> Values:
     for label, scenario in scenarios.items():
         with prefixed(f"'{label}' of {job.robot}: ", CompareError, CompareError):
             demands[label] = motion_demand(scenario.robot, scenario.reference)
-    chosen = _chosen(job, first, next(iter(demands.values())), on_progress)
+    with prefixed(f"{job.law.label} on {job.robot}: ", FjrError, CompareError):
+        target = baseline_target(first)
+        if job.suite.tune is None:
+            chosen = tuned_law(job.law, first, target)
+        else:
+            chosen = _tuned(_study(job, first, next(iter(demands.values())), target.effort_limit), on_progress)
     cells: Values = {}
     found: Values = {}
     runs = 0
     for done, (label, scenario) in enumerate(scenarios.items(), 1):
         band = SETTLED * demands[label].motion
         loop = scenario_loop(scenario, chosen.law, job.suite.duration, settle_after=job.suite.settle_after, band=band)
-        trial = Trial(loop, demands[label], chosen.effort_limit, job.suite.tracks)
+        trial = Trial(loop, demands[label], target.effort_limit, job.suite.tracks)
         each = trial.metrics(list(job.suite.imperfections.values()))
         cells[label] = dict(zip(job.suite.imperfections, each, strict=True))
         found = found or {**_margins(job, trial), "trace": _trace(trial)}
@@ -171,7 +176,7 @@ def work(job: Job, number: int = 0) -> Values:
         },
         "gains": dict(chosen.gains),
         "tuning": chosen.tuning,
-        "effort_limit_nm": chosen.effort_limit.tolist(),
+        "effort_limit_nm": target.effort_limit.tolist(),
         "cells": cells,
         **found,
         "uncertain": chosen.figures,
@@ -179,47 +184,36 @@ def work(job: Job, number: int = 0) -> Values:
     }
 
 
-def _chosen(job: Job, first: Scenario, demand: MotionDemand, on_progress: Callable[[float], None]) -> TunedLaw:
-    """Return the law with its gains, by the rule or tuned to uncertainties."""
-    law = job.law
-    with prefixed(f"{law.label} on {job.robot}: ", FjrError, CompareError):
-        ruled = tuned_law(law, first)
-        return ruled if job.suite.tune is None else _tuned(job, first, demand, ruled.effort_limit, on_progress)
-
-
 @dataclass(frozen=True, eq=False)
 class TunedLaw:
     """Law with its gains, or the parameters that were chosen, as plain values, and a summary of its tuning.
 
-    effort_limit (n,) [N m]: saturation of every command, the same for all laws. figures: on fresh draws, of a law that
-    was tuned to uncertainties.
+    figures: on fresh draws, of a law that was tuned to uncertainties.
     """
 
     law: SampledLaw
-    effort_limit: Array
     gains: Mapping[str, Any]
     tuning: str
     figures: Mapping[str, float | None] = field(default_factory=dict)
 
 
-def tuned_law(chosen: LawChoice, scenario: Scenario) -> TunedLaw:
-    """Return a law by the rule of equal bandwidth for robot, start and reference of the scenario.
+def tuned_law(chosen: LawChoice, scenario: Scenario, target: BaselineTarget) -> TunedLaw:
+    """Return a law by the rule of equal bandwidth for robot, start and reference of the scenario, the target's.
 
     v-dPBC keeps the gains of the scenario unless it is retuned; robust options hold for the sample period. A law of the
     user is not tuned: it has its options. Raises FjrError if there is no such law or no stable gains.
     """
-    target = baseline_target(scenario)
     hold = Robust(**chosen.robust, hold=scenario.sample_period)
     if is_named(chosen.law):
         own = own_law(chosen.law, scenario.robot, chosen.options, compile=False)
         law = sampled_law(own, hold)
         bandwidth, peak = target.bandwidth_of(own) / target.bandwidth, target.peak_of(own) / target.peak
         tuning = f"not tuned: bandwidth {bandwidth:.2g} times the target, peak effort {peak:.2g} times the target"
-        return TunedLaw(law, target.effort_limit, dict(chosen.options), tuning + _unstable(law, scenario))
+        return TunedLaw(law, chosen.options, tuning + _unstable(law, scenario))
     found = tune(chosen.law, target, retune=chosen.retune)
     law = sampled_law(found.law, hold)
     gains = {**_plain(found.law.gains), **_plain(found, "omega", "damping")}
-    return TunedLaw(law, target.effort_limit, gains, found.sentence + _unstable(law, scenario))
+    return TunedLaw(law, gains, found.sentence + _unstable(law, scenario))
 
 
 def _unstable(law: SampledLaw, scenario: Scenario) -> str:
@@ -235,11 +229,9 @@ def _plain(value: Any, *names: str) -> dict[str, Any]:
     return {name: array.tolist() for name, array in arrays.items() if np.isfinite(array).all()}
 
 
-def _tuned(
-    job: Job, first: Scenario, demand: MotionDemand, effort_limit: Array, on_progress: Callable[[float], None]
-) -> TunedLaw:
-    """Return the law tuned to the uncertainties of the suite; arguments as of `_study`. Raises FjrError."""
-    study, done = with_better_start(_study(job, first, demand, effort_limit)), 0
+def _tuned(study: TuningStudy, on_progress: Callable[[float], None]) -> TunedLaw:
+    """Return the law of a study, tuned to its uncertainties. Raises FjrError."""
+    study, done = with_better_start(study), 0
 
     def figures(points: Sequence[Point], runs: Range) -> list[Figures]:
         nonlocal done
@@ -256,7 +248,6 @@ def _tuned(
     tracking = f"on {study.fresh} fresh draws {percent(score.success, 1)} track"
     return TunedLaw(
         study.coordinates.controller(chosen)[0],
-        effort_limit,
         study.coordinates.values(chosen),
         f"best of {len(candidates)} candidates; {tracking}",
         finite(summary),
