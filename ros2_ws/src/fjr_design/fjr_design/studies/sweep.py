@@ -40,6 +40,7 @@ OUTCOMES = {
     "settling": ("settling time", "s"),
     "effort_rms": ("RMS effort", "N m"),
     "effort_peak": ("peak effort", "N m"),
+    "effort_noise": ("noise in the effort", "N m"),
     "power": ("mean power", "W"),
 }
 """Words and unit of the outcomes that a sweep summarises and that its success criterion may limit."""

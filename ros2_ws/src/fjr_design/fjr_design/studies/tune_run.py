@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,11 +56,8 @@ if TYPE_CHECKING:
 
 LAW = "law"
 SMALL, LARGE, MANY = 16, 200, 1000  # runs of a part: of a few draws, of at least MANY draws
-SHOWN = {name: OUTCOMES[name] for name in ("rms", "peak")} | {
-    "effort_noise": ("noise in the effort", "N m"),
-    "effort_peak": OUTCOMES["effort_peak"],
-}
 AXES = "effort_noise", "effort_peak"
+SHOWN = ("rms", "peak", *AXES)
 QUANTILES = (0.5, 0.95)
 STARTS = {SCENARIO: "the scenario", RULE: "the rule of equal bandwidth"}
 
@@ -191,12 +189,12 @@ def _table(tuned: Tuned) -> list[str]:
     study, (scenario, chosen) = tuned.study, tuned.scores
     law = study.sweep.scenario.controller_values[TYPE.name]
     rows = [["", "scenario", "tuned", "ratio"]]
-    for name, (words, unit) in SHOWN.items():
-        for q in QUANTILES:
-            pair = quantile(tuned.scenario[name], q), quantile(tuned.chosen[name], q)
-            what = f"  {words}, {'median' if q == 0.5 else percent(q, 0)}"
-            ratio = f"{pair[1] / pair[0]:.3g}" if np.isfinite(pair).all() and pair[0] > 0 else ""
-            rows.append([what, *(shown(value, unit, study.sweep) for value in pair), ratio])
+    for name, q in product(SHOWN, QUANTILES):
+        words, unit = OUTCOMES[name]
+        pair = quantile(tuned.scenario[name], q), quantile(tuned.chosen[name], q)
+        what = f"  {words}, {'median' if q == 0.5 else percent(q, 0)}"
+        ratio = f"{pair[1] / pair[0]:.3g}" if np.isfinite(pair).all() and pair[0] > 0 else ""
+        rows.append([what, *(shown(value, unit, study.sweep) for value in pair), ratio])
     rows.append(["  successful runs", percent(scenario.success), percent(chosen.success), ""])
     axes = zip(study.coordinates.axes, tuned.point, strict=True)
     lines = [
@@ -237,7 +235,7 @@ def _front(ax: Axes, tuned: Tuned, name: str) -> None:
         if finite[i]:
             ax.plot(x[i], 1e3 * y[i], marker, ms=9, color=COLOURS[1] if marker == "*" else GREY, label=label)
     error, effort = (tuned.study.sweep.units(unit) for unit in ("mrad", "N m"))
-    ax.set(xscale="log", yscale="log", xlabel=f"{SHOWN[name][0]} [{effort}]", ylabel=f"RMS error [{error}]")
+    ax.set(xscale="log", yscale="log", xlabel=f"{OUTCOMES[name][0]} [{effort}]", ylabel=f"RMS error [{error}]")
     ax.set_title(f"Candidates, {percent(quantile, 0)} quantile over {tuned.study.draws} draws")
 
 
