@@ -370,6 +370,7 @@ MISSPELT = {"x": {"reference.frequenzy": [1.0]}}
         (PAPER, {"vary": {"stiffnes": 0.5}}, "'vary' has 'stiffnes'; expected some of payload_mass, "),
         (PAPER, {"imperfections": {"wind": 1.0}}, "'tune': 'imperfections': has 'wind'; expected some of"),
         (PAPER, {"success": 2.0}, "'tune': has 2.0 as 'success'; expected 0 to 1"),
+        (PAPER, {"seed": -1}, "'tune': has -1 as 'seed'; expected 0 to"),
         (PAPER, {"settle_after": 0.7}, "'settle_after' is 0.7 and 'duration' 0.6 s"),
     ],
 )

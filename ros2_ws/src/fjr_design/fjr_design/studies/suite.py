@@ -18,8 +18,8 @@ from fjr_core.robust.options import Robust
 from fjr_msgs_py.scenarios import library
 
 from ..batch.draws import varied
-from .sections import Reader, between, each, listed, mapping, number, section, subsection, whole
-from .sweep import refuse_what_is_left_out
+from .sections import Reader, between, each, listed, mapping, number, section, subsection
+from .sweep import OF_SWEEP, refuse_what_is_left_out
 from .trial import IMPERFECTIONS, TRACKS, directions
 from .tune import GOAL, SIZE, Goal
 
@@ -201,7 +201,7 @@ USUAL: Mapping[str, Any] = {
 """What every law is tuned for where the section `tune` of a comparison is silent: deviations as in a sweep file, levels
 of imperfections, the fields of Goal, numbers of TuningStudy and of Sweep."""
 DURATION = between(1e-3, LONGEST)
-NUMBERS: Mapping[str, Reader] = {"seed": whole, "duration": DURATION, "settle_after": number}
+NUMBERS: Mapping[str, Reader] = {"seed": OF_SWEEP["seed"], "duration": DURATION, "settle_after": number}
 """Readers of the numbers of a sweep that the section `tune` may have."""
 LEVELS = subsection({name: one.read for name, one in IMPERFECTIONS.items()})
 UNCERTAIN = subsection({"vary": mapping, "imperfections": LEVELS, **GOAL, **SIZE, **NUMBERS})
