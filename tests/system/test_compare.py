@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.errors import CompareError, FjrError, ParameterError
+from fjr_core.errors import FjrError, ParameterError
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.numerics import jit as jit_cache
 from fjr_design.batch import Draws, scenario_loop
@@ -130,7 +130,7 @@ class Failing:
             time.sleep(HANG)
         if self.kill:
             os.kill(os.getpid(), signal.SIGKILL)
-        raise CompareError("no gains")
+        raise ParameterError("no gains")
 
 
 @pytest.mark.parametrize(("kill", "words"), [(False, "^no gains$"), (True, "a worker process died")])
@@ -140,7 +140,7 @@ def test_failure_is_reported_while_other_jobs_run(
     jobs = compare_run.jobs(suite.read("mine", {**QUICK, "laws": ["v_dpbc", "torque_feedback"]}))
     monkeypatch.setattr(compare_run, "work", Failing(kill))
     begun = time.monotonic()
-    with pytest.raises(CompareError, match=words):
+    with pytest.raises(FjrError, match=words):
         compare_run.run(jobs, tmp_path, 2, threading.Event())
     assert time.monotonic() - begun < HANG
 

@@ -16,7 +16,7 @@ import matplotlib.image
 import pyarrow.parquet as pq
 import pytest
 
-from fjr_design.studies.study import ClusterError, Columns, cluster, open_store
+from fjr_design.studies.study import Columns, WorkerError, cluster, open_store
 from fjr_design.studies.sweep import Sweep, planned
 from fjr_design.studies.sweep_run import carry_out, jobs_of
 from system.browser import Browser
@@ -96,11 +96,11 @@ def test_a_scheduler_without_address_answer_or_program_is_named(
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
         words = f"no Dask scheduler answers at {address}"
-        with pytest.raises(ClusterError, match=words), cluster(address, timeout=0.5):
+        with pytest.raises(WorkerError, match=words), cluster(address, timeout=0.5):
             pass
     monkeypatch.setitem(sys.modules, "distributed", None)
     words = "dask.distributed is not installed here; .*pip install distributed"
-    with pytest.raises(ClusterError, match=words), cluster("tcp://127.0.0.1:8786"):
+    with pytest.raises(WorkerError, match=words), cluster("tcp://127.0.0.1:8786"):
         pass
 
 

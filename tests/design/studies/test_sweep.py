@@ -255,7 +255,7 @@ def test_a_worker_without_this_program_is_refused(tmp_path: Path) -> None:
     workers = Workers(Elsewhere(), 1, remote=True)  # type: ignore[arg-type]
     with (
         opened(tmp_path, plan) as kept,
-        pytest.raises(study.ClusterError, match="No module named 'fjr_core'.*; expected this version of fjr_core"),
+        pytest.raises(study.WorkerError, match="No module named 'fjr_core'.*; expected this version of fjr_core"),
     ):
         carry_out(plan, kept, workers, threading.Event())
 

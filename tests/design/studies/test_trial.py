@@ -12,7 +12,7 @@ import pytest
 
 import fjr_core as fjr
 from fjr_core.config.scenario import parse_scenario
-from fjr_core.errors import CompareError
+from fjr_core.errors import ParameterError
 from fjr_design.batch import ClosedLoop
 from fjr_design.stability.sampled_loop import check
 from fjr_design.studies.compare_run import tuned_law
@@ -161,7 +161,7 @@ def test_motion_demand_of_a_pendulum() -> None:
 
 
 def test_constant_reference_is_refused() -> None:
-    with pytest.raises(CompareError, match="is at rest"):
+    with pytest.raises(ParameterError, match="is at rest"):
         motion_demand(fjr.single_link(stiffness=31.0), fjr.Sine(amplitude=0.0, frequency=1.0, offset=0.3))
 
 

@@ -35,20 +35,16 @@ class StateError(FjrError):
 
 
 class ParameterError(FjrError):
-    """Invalid scenario parameter: missing, unknown, of the wrong type or out of range."""
+    """Invalid parameter of a scenario, or key of a study: missing, unknown, of the wrong type or out of range."""
 
 
 @contextmanager
-def prefixed(start: str, kind: type[FjrError] = ParameterError, new: type[FjrError] = ParameterError) -> Iterator[None]:
-    """Turn an error of this kind in the block into a `new` one, whose sentence begins with `start`."""
+def prefixed(start: str, kind: type[FjrError] = ParameterError) -> Iterator[None]:
+    """Turn an error of this kind in the block into a ParameterError, whose sentence begins with `start`."""
     try:
         yield
     except kind as error:
-        raise new(f"{start}{error}") from None
-
-
-class CompareError(ParameterError):
-    """Invalid comparison: unknown law or disturbance, or inconsistent specification."""
+        raise ParameterError(f"{start}{error}") from None
 
 
 class RecordError(FjrError):

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from fjr_core.errors import CompareError
+from fjr_core.errors import ParameterError
 from fjr_core.extensions.law_registry import law_kind
 from fjr_core.files.text_file import write_text
 from fjr_msgs_py.console.output import DASH, number, percent, plural
@@ -244,15 +244,15 @@ def replace(path: Path, document: dict[str, Any]) -> None:
 def around_table(path: Path, suite: str) -> tuple[str, str, str, str]:
     """Return the text of a file before the first mark of a suite, both marks, and the text after the second.
 
-    Raise CompareError if the file lacks them.
+    Raise ParameterError if the file lacks them.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise CompareError(f"cannot read {path}: {error.strerror}") from None
+        raise ParameterError(f"cannot read {path}: {error.strerror}") from None
     for first, last in (marks(suite), (BEGIN, END)):
         before, begin, rest = text.partition(first)
         _, end, after = rest.partition(last)
         if begin and end:
             return before, begin, end, after
-    raise CompareError(f"{path} lacks the lines '{BEGIN}' and '{END}'; expected both, in this order")
+    raise ParameterError(f"{path} lacks the lines '{BEGIN}' and '{END}'; expected both, in this order")

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from fjr_core.config.scenario import Scenario, parse_scenario
-from fjr_core.errors import CompareError, FjrError, prefixed
+from fjr_core.errors import FjrError, prefixed
 from fjr_core.extensions.python_code import own_law
 from fjr_core.files.importing import is_named, load, source_digest
 from fjr_core.files.text_file import write_text
@@ -40,7 +40,7 @@ from ..batch import scenario_loop
 from ..batch.draws import FIXED, Distribution, varied
 from ..tuning.equal_bandwidth import BaselineTarget, baseline_target, tune
 from . import compare_page, compare_results, suite
-from .study import Kept, processes, report_share
+from .study import Kept, WorkerError, processes, report_share
 from .suite import LawChoice, Suite, scenario_texts
 from .sweep import Sweep
 from .trial import MotionDemand, Trial, directions, fields_of, motion_demand
@@ -64,7 +64,7 @@ def compare(name: str, page: Path | None, output: Path, cores: int) -> Result:
     """
     chosen = suite.load(library.find(name, "suite"))
     if page is not None:
-        compare_results.around_table(page, chosen.name)  # raises CompareError before the long run
+        compare_results.around_table(page, chosen.name)  # raises ParameterError before the long run
     for law in chosen.laws:
         if is_named(law.law) and not issubclass(load(law.law), StaticLaw):
             tell(f"{law.law} is evaluated in Python: its runs are not compiled, so they take longer")
@@ -105,7 +105,7 @@ class Job:
 
 
 def jobs(suite: Suite) -> list[Job]:
-    """Return a job for every law on every robot, robot by robot; raise CompareError for an invalid robot."""
+    """Return a job for every law on every robot, robot by robot; raise ParameterError for an invalid robot."""
     joins = {law.join for law in suite.laws}
     texts = {(robot.label, join): scenario_texts(robot, join) for robot in suite.robots for join in joins}
     shared = replace(suite, name="", laws=(), robots=())
@@ -115,7 +115,7 @@ def jobs(suite: Suite) -> list[Job]:
 def run(jobs: Sequence[Job], folder: Path, cores: int, stop: threading.Event) -> list[Values]:
     """Return the results in the order of the jobs; keep each in the folder as soon as it is finished.
 
-    Raise the FjrError of a job, CompareError if a worker died, Interrupted when `stop` is set.
+    Raise the FjrError of a job, WorkerError if a worker died, Interrupted when `stop` is set.
     """
     folder.mkdir(parents=True, exist_ok=True)
     kept = Kept(folder)
@@ -132,7 +132,7 @@ def run(jobs: Sequence[Job], folder: Path, cores: int, stop: threading.Event) ->
             ):
                 kept.run(workers, work, numbered, stop, on_look=lambda: bar.update(sum(done) - bar.n))
         except BrokenExecutor:
-            raise CompareError(
+            raise WorkerError(
                 f"a worker process died (killed or out of memory). Finished results are in {folder}; "
                 "run the same command again to continue, with fewer --cores if memory is short"
             ) from None
@@ -146,9 +146,9 @@ def work(job: Job, number: int = 0) -> Values:
     first = next(iter(scenarios.values()))
     demands = {}
     for label, scenario in scenarios.items():
-        with prefixed(f"'{label}' of {job.robot}: ", CompareError, CompareError):
+        with prefixed(f"'{label}' of {job.robot}: "):
             demands[label] = motion_demand(scenario.robot, scenario.reference)
-    with prefixed(f"{job.law.label} on {job.robot}: ", FjrError, CompareError):
+    with prefixed(f"{job.law.label} on {job.robot}: ", FjrError):
         target = baseline_target(first)
         if job.suite.tune is None:
             chosen = tuned_law(job.law, first, target)

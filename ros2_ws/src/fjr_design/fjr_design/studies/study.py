@@ -49,8 +49,8 @@ class StoreError(FjrError):
     """A folder that holds another study or is in use."""
 
 
-class ClusterError(FjrError):
-    """A cluster is unreachable or failed."""
+class WorkerError(FjrError):
+    """Workers, of this machine or of a cluster, are unreachable or failed."""
 
 
 def _parquet() -> Any:
@@ -84,7 +84,7 @@ class Kept:
         """Run work(*job) for the jobs by their keys that are not finished; keep each result, in this thread.
 
         on_kept: called with each result. on_look: called at least every LOOK. Raise Interrupted if `stop` is set, the
-        error of the first job that fails, without waiting for the others, ClusterError for one on another machine.
+        error of the first job that fails, without waiting for the others, WorkerError for one on another machine.
         """
         waiting = iter([(key, job) for key, job in jobs.items() if not self.holds(key)])
         pending: dict[Future[Any], str] = {}
@@ -269,7 +269,7 @@ class Workers:
     remote: bool = False
 
     def result(self, future: Future[Any]) -> Any:
-        """Return the result of a job that is done; raise its error, ClusterError for one on another machine."""
+        """Return the result of a job that is done; raise its error, WorkerError for one on another machine."""
         try:
             return future.result()
         except FjrError:
@@ -278,7 +278,7 @@ class Workers:
             if not self.remote:
                 raise
             what = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
-            raise ClusterError(
+            raise WorkerError(
                 f"a worker of the cluster failed ({what}); expected this version of fjr_core on its Python path"
             ) from None
 
@@ -292,13 +292,13 @@ def threads(count: int) -> Iterator[Workers]:
 
 @contextmanager
 def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
-    """Yield the workers of a running Dask scheduler, e.g. tcp://host:8786; raise ClusterError."""
+    """Yield the workers of a running Dask scheduler, e.g. tcp://host:8786; raise WorkerError."""
     if "://" not in address:
-        raise ClusterError(f"the scheduler's address is '{address}'; expected e.g. tcp://host:8786")
+        raise WorkerError(f"the scheduler's address is '{address}'; expected e.g. tcp://host:8786")
     try:
         from distributed import Client
     except ModuleNotFoundError:
-        raise ClusterError(
+        raise WorkerError(
             "dask.distributed is not installed here; expected it for --scheduler, at the version of the cluster: "
             f"{PIP} distributed"
         ) from None
@@ -306,11 +306,11 @@ def cluster(address: str, timeout: float = 10.0) -> Iterator[Workers]:
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        raise ClusterError(f"no Dask scheduler answers at {address} ({error}); expected e.g. tcp://host:8786") from None
+        raise WorkerError(f"no Dask scheduler answers at {address} ({error}); expected e.g. tcp://host:8786") from None
     try:
         cores = sum(client.nthreads().values())
         if not cores:
-            raise ClusterError(f"the Dask scheduler at {address} has no workers; expected at least one")
+            raise WorkerError(f"the Dask scheduler at {address} has no workers; expected at least one")
         yield Workers(client.get_executor(pure=False, retries=3), cores, remote=True)
     finally:
         client.close()

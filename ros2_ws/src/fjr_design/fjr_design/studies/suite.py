@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fjr_core.config import ros_yaml
-from fjr_core.errors import CompareError, FjrError, ParameterError, prefixed
+from fjr_core.errors import FjrError, ParameterError, prefixed
 from fjr_core.extensions.law_registry import LAWS, V_DPBC
 from fjr_core.files.importing import is_named
 from fjr_core.files.importing import load as load_class
@@ -78,9 +78,9 @@ class Suite:
 
 
 def load(path: Path) -> Suite:
-    """Read a suite from a file; raise CompareError, which names the file."""
+    """Read a suite from a file; raise ParameterError, which names the file."""
     document = ros_yaml.read(path, "suite")
-    with prefixed(f"suite {path}: ", new=CompareError):
+    with prefixed(f"suite {path}: "):
         return read(path.stem, document)
 
 
@@ -155,7 +155,7 @@ def _levels(name: str, given: Any) -> dict[str, float]:
 
 def _margins(key: str, given: Any) -> tuple[str, ...]:
     names = tuple(map(str, listed(key, given)))
-    directions(names)  # raises CompareError
+    directions(names)  # raises ParameterError
     return names
 
 
@@ -171,13 +171,13 @@ def uncertainties(key: str, given: Any) -> dict[str, Any]:
 
 
 def scenario_texts(robot: RobotChoice, join: float = 0.0) -> tuple[tuple[str, str], ...]:
-    """Return (reference, scenario text) for each reference of a robot; raise CompareError or FjrError.
+    """Return (reference, scenario text) for each reference of a robot; raise ParameterError.
 
     Every law starts alike: at once, or with a transition if join > 0 [s], whatever the scenario's limits.start_error.
     """
     path = library.find(robot.scenario)
     texts = []
-    with prefixed(f"robot '{robot.label}': ", FjrError, CompareError):
+    with prefixed(f"robot '{robot.label}': ", FjrError):
         for label, changes in robot.references.items():
             _, scenario = library.as_run(path, changes)
             start = {"start.join_time": join, "limits.start_error": [math.inf] * scenario.robot.n}

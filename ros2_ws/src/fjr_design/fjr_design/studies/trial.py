@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fjr_core.errors import CompareError, ParameterError
+from fjr_core.errors import ParameterError
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import inverse_dynamics
 from fjr_core.motions.reference import Reference
@@ -60,13 +60,13 @@ class MotionDemand:
 
 
 def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
-    """Return the demand of a reference; raises CompareError for a reference at rest."""
+    """Return the demand of a reference; raises ParameterError for a reference at rest."""
     end = min(HORIZON, reference.end)
     jets = reference.jets(np.linspace(0.0, end, INSTANTS))
     position = jets[:, 0]
     motion = float(np.sqrt(np.mean((position - position.mean(axis=0)) ** 2)))
     if not motion > STANDING:
-        raise CompareError(f"the reference is at rest for {end:g} s; expected a motion")
+        raise ParameterError(f"the reference is at rest for {end:g} s; expected a motion")
     tau, *_ = inverse_dynamics(robot)(*jets.transpose(1, 2, 0))
     torque = np.sqrt(np.mean(tau.full() ** 2, axis=1))
     friction = Imperfections(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
@@ -128,14 +128,14 @@ IMPERFECTIONS = {
 
 
 def imperfection(name: str) -> Imperfection:
-    """Return the imperfection of a name; raises CompareError."""
+    """Return the imperfection of a name; raises ParameterError."""
     if name not in IMPERFECTIONS:
-        raise CompareError(f"unknown imperfection '{name}': expected one of {', '.join(IMPERFECTIONS)}")
+        raise ParameterError(f"unknown imperfection '{name}': expected one of {', '.join(IMPERFECTIONS)}")
     return IMPERFECTIONS[name]
 
 
 def fields_of(levels: Mapping[str, float], demand: MotionDemand, step: float) -> dict[str, Array]:
-    """Return the fields of Draws of a run with all these imperfections, by their names; raises CompareError.
+    """Return the fields of Draws of a run with all these imperfections, by their names; raises ParameterError.
 
     Friction acts half on each side of the springs, with the steepest slope that is stable with this integrator step
     [s]; reduced link inertia makes it stiffer. The load is a constant torque on all links. Hardening adds its share of
@@ -186,7 +186,7 @@ class Direction:
 
 
 def directions(names: Sequence[str]) -> list[Direction]:
-    """Return the directions of the margins of these imperfections; raises CompareError for an unknown one."""
+    """Return the directions of the margins of these imperfections; raises ParameterError for an unknown one."""
     found = []
     for one in (imperfection(name) for name in names):
         if one.is_factor:
