@@ -27,7 +27,6 @@ HOW = (
     "Drag over a plot to enlarge it, double-click to go back. All results are in comparison.json in the same folder. "
     "Works offline."
 )
-COLOURED = {"lost": "maybe", "unstable": "no"}
 NO_RANKING = (
     "Rows are facts about one quantity each, not a ranking: the rule of tuning makes bandwidths equal, but not margins "
     "or peak efforts everywhere, and v-dPBC with the gains of the scenario is the tuning target."
@@ -129,18 +128,10 @@ def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
     return [f"{each}; {options}" if options else each for each in tunings]
 
 
-def _groups(found: Sequence[Row], kind: str) -> list[tuple[str, list[tuple[str, list[tuple[str, str]]]]]]:
+def _groups(found: Sequence[Row], kind: str) -> list[tuple[str, list[Row]]]:
     """Return the rows of one kind, grouped by the reference that heads them."""
     chosen = groupby((row for row in found if row.kind == kind), lambda row: row.reference)
-    return [(reference, [(row.name, _cells(row)) for row in group]) for reference, group in chosen]
-
-
-def _cells(row: Row) -> list[tuple[str, str]]:
-    """Return the text of each cell, with `best` or its CSS class."""
-    return [
-        (value.words, "best" if best else COLOURED.get(value.state, ""))
-        for value, best in zip(row.values, row.best, strict=True)
-    ]
+    return [(reference, list(group)) for reference, group in chosen]
 
 
 def comparison_plots(document: dict[str, Any]) -> list[Plot]:

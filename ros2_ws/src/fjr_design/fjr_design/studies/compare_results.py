@@ -48,8 +48,7 @@ def _described(law: dict[str, Any]) -> dict[str, Any]:
     """Return a law of the suite with its data that do not depend on the robot; title: its label, else the law's."""
     name, kind = str(law["law"]), law_kind(law["law"])
     title = str(law["label"]) if law["label"] != name else SHORT.get(name, kind.title)
-    data = {"full_title": kind.title, "paper": kind.paper, "measures": kind.measures, "adds": kind.extension}
-    return {**law, "title": title, **data}
+    return {**law, "title": title, "paper": kind.paper, "measures": kind.measures, "adds": kind.extension}
 
 
 def extent(document: dict[str, Any]) -> str:
