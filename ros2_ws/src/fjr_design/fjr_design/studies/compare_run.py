@@ -21,12 +21,14 @@ from typing import Any
 
 import numpy as np
 
+from fjr_core.config.law import TYPE
+from fjr_core.config.parameter import in_python
 from fjr_core.config.scenario import Scenario, parse_scenario
 from fjr_core.errors import FjrError, prefixed
 from fjr_core.extensions.python_code import own_law
 from fjr_core.files.importing import is_named, load, source_digest
 from fjr_core.files.text_file import write_text
-from fjr_core.law.interfaces import SampledLaw, StaticLaw
+from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import program_digest
 from fjr_core.robust.law import sampled_law
@@ -65,9 +67,8 @@ def compare(name: str, page: Path | None, output: Path, cores: int) -> Result:
     chosen = suite.load(library.find(name, "suite"))
     if page is not None:
         compare_results.around_table(page, chosen.name)  # raises ParameterError before the long run
-    for law in chosen.laws:
-        if is_named(law.law) and not issubclass(load(law.law), StaticLaw):
-            tell(f"{law.law} is evaluated in Python: its runs are not compiled, so they take longer")
+    for sentence in filter(None, (in_python(TYPE, {TYPE.name: law.law}) for law in chosen.laws)):
+        tell(sentence)
     planned = jobs(chosen)
     folder = output / f"compare_{chosen.name}"
     with stoppable() as stop:
