@@ -253,8 +253,11 @@ WRONG: list[tuple[Any, str]] = [
     ({**QUICK, "laws": ["v_dpbc", "v_dpbc"]}, "law 'v_dpbc' is listed twice"),
     ({**QUICK, "laws": [{"law": "lqr", "robust": {"magic": 1.0}}]}, "law 'lqr': 'robust': has 'magic'; expected some"),
     ({**QUICK, "laws": [{"law": "lqr", "gain": 1.0}]}, "law 'lqr': has 'gain'; did you mean 'gains'"),
-    ({**QUICK, "laws": [{"law": "lqr", "gains": "tuned"}]}, "'gains' of lqr is 'tuned'; expected scenario or tuned"),
-    ({**QUICK, "laws": [{"law": "v_dpbc", "gains": "best"}]}, "'gains' of v_dpbc is 'best'; expected scenario or tun"),
+    (
+        {**QUICK, "laws": [{"law": "lqr", "gains": "tuned"}]},
+        "'gains' of lqr is 'tuned'; expected 'tuned', for v_dpbc",
+    ),
+    ({**QUICK, "laws": [{"law": "v_dpbc", "gains": "best"}]}, "'gains' of v_dpbc is 'best'; expected 'tuned', for"),
     ({**QUICK, "laws": [{"law": "lqr", "options": {"K": 1.0}}]}, "law 'lqr' has options; expected them for a law of y"),
     ({**QUICK, "laws": [{"law": "lqr", "join": -1.0}]}, "has -1.0 as 'join'; expected 0 to 10"),
     ({**QUICK, "robots": []}, "has no 'robots'"),

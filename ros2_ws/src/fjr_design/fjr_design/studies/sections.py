@@ -44,7 +44,7 @@ def subsection(readers: Mapping[str, Reader]) -> Reader:
     return lambda key, given: section(mapping(key, given), readers, f"'{key}': ")
 
 
-def each(reader: Reader) -> Reader:
+def by_name(reader: Reader) -> Reader:
     """Return a reader of values by names of the user's choice; null is an empty value."""
     return lambda key, given: {str(name): reader(str(name), one or {}) for name, one in mapping(key, given).items()}
 

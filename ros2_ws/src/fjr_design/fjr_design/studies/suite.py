@@ -18,14 +18,14 @@ from fjr_core.robust.options import Robust
 from fjr_msgs_py.scenarios import library
 
 from ..batch.draws import varied
-from .sections import Reader, between, each, listed, mapping, number, section, subsection
+from .sections import Reader, between, by_name, listed, mapping, number, section, subsection
 from .sweep import OF_SWEEP, refuse_what_is_left_out
 from .trial import IMPERFECTIONS, TRACKS, directions
 from .tune import GOAL, SIZE, Goal
 
 NOMINAL = "nominal"
 CHANGED = ("reference.", "initial_")  # parameters that references of one robot may change
-GAINS = ("scenario", TUNED := "tuned")  # of v-dPBC
+TUNED = "tuned"  # gains of v-dPBC
 LONGEST, LONGEST_JOIN = 600.0, 10.0  # s
 FASTEST = 1e6  # 1/s; of a robust option
 ROBUST = tuple(each.name for each in fields(Robust) if each.name != "hold")
@@ -117,9 +117,9 @@ def _law(given: Any) -> LawChoice:
     law, gains = found["law"], found.pop("gains", None)
     if found.get("options") and not is_named(law):
         raise ParameterError(f"law '{label}' has options; expected them for a law of your own, module:Class")
-    if gains not in (None, *GAINS) or (gains and law != V_DPBC):
+    if gains is not None and (gains, law) != (TUNED, V_DPBC):
         raise ParameterError(
-            f"'gains' of {label} is {gains!r}; expected {' or '.join(GAINS)}, for {V_DPBC} only, other laws are tuned"
+            f"'gains' of {label} is {gains!r}; expected '{TUNED}', for {V_DPBC} only: other laws are always tuned"
         )
     return LawChoice(**{**found, "label": label}, retune=gains == TUNED)
 
@@ -213,11 +213,11 @@ LAW: Mapping[str, Reader] = {
     "options": mapping,
     "join": between(0, LONGEST_JOIN),
 }
-ROBOT: Mapping[str, Reader] = {"scenario": lambda _, name: str(name), "references": each(_changes)}
+ROBOT: Mapping[str, Reader] = {"scenario": lambda _, name: str(name), "references": by_name(_changes)}
 SUITE: Mapping[str, Reader] = {
     "laws": _laws,
-    "robots": lambda key, given: tuple(each(_robot)(key, given).values()),
-    "imperfections": each(_levels),
+    "robots": lambda key, given: tuple(by_name(_robot)(key, given).values()),
+    "imperfections": by_name(_levels),
     "margins": _margins,
     "duration": DURATION,
     "settle_after": number,
