@@ -217,6 +217,7 @@ def test_the_installed_suites_hold_every_law_and_the_tuned_ones_differ_in_robots
     for chosen, name in zip((paper, quick, few, seven), names, strict=True):
         assert (chosen.name, chosen.laws[0]) == (name, suite.LawChoice(V_DPBC, V_DPBC))
         assert all(suite.scenario_texts(robot) for robot in chosen.robots)
+    assert quick.robots[0].references == {"scenario": {}}  # its own, where none are named
     for chosen in (paper, few):
         assert {law.law for law in chosen.laws} == set(LAWS)
     for robots in (paper.robots, (*few.robots, *seven.robots)):

@@ -133,18 +133,20 @@ def _known_law(_key: str, name: Any) -> str:
 
 
 def _robot(label: str, given: Any) -> RobotChoice:
-    found = section(given, ROBOT, f"robot '{label}': ")
-    return RobotChoice(label, found.get("scenario", label), found.get("references") or {"scenario": {}})
+    found = section({"scenario": label, "references": None, **mapping(label, given)}, ROBOT, f"robot '{label}': ")
+    return RobotChoice(label, **found)
 
 
-def _changes(reference: str, given: Any) -> Mapping[str, Any]:
-    for name in mapping(reference, given):
-        if not str(name).startswith(CHANGED):
-            raise ParameterError(
-                f"reference '{reference}' changes '{name}'; expected names that begin with {' or '.join(CHANGED)}: "
-                "the robot is the same along all of them"
-            )
-    return dict(given)
+def _references(key: str, given: Any) -> Mapping[str, Mapping[str, Any]]:
+    references: dict[str, Mapping[str, Any]] = by_name(mapping)(key, given or {"scenario": {}})
+    for reference, changes in references.items():
+        for name in changes:
+            if not str(name).startswith(CHANGED):
+                raise ParameterError(
+                    f"reference '{reference}' changes '{name}'; expected names that begin with "
+                    f"{' or '.join(CHANGED)}: the robot is the same along all of them"
+                )
+    return references
 
 
 def _levels(name: str, given: Any) -> dict[str, float]:
@@ -213,7 +215,7 @@ LAW: Mapping[str, Reader] = {
     "options": mapping,
     "join": between(0, LONGEST_JOIN),
 }
-ROBOT: Mapping[str, Reader] = {"scenario": lambda _, name: str(name), "references": by_name(_changes)}
+ROBOT: Mapping[str, Reader] = {"scenario": lambda _, name: str(name), "references": _references}
 SUITE: Mapping[str, Reader] = {
     "laws": _laws,
     "robots": lambda key, given: tuple(by_name(_robot)(key, given).values()),
