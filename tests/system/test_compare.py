@@ -190,6 +190,16 @@ def test_the_page_draws_everything_and_states_the_findings(
     assert best == [v.words for row in rows(found) for v, is_best in zip(row.values, row.best, strict=True) if is_best]
 
 
+def test_names_of_a_page_are_escaped(found: dict[str, Any], tmp_path: Path) -> None:
+    text = json.dumps(found)
+    for name in ("one joint", "slow", "noisy", "v-dPBC + residual"):
+        text = text.replace(name, f"{name}<b onload=x>")
+    compare_page.write_page(tmp_path / "page.html", json.loads(text))
+    page = (tmp_path / "page.html").read_text()
+    assert "<b onload" not in page
+    assert page.count("&lt;b onload=x&gt;") > 10
+
+
 def test_table_replaces_the_one_between_the_markers(folder: Path, found: dict[str, Any]) -> None:
     page = folder / "page.md"
     page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
@@ -207,8 +217,7 @@ def test_a_law_of_the_user_has_options_and_is_named_as_not_tuned(tmp_path: Path)
     known, own = suite.load(file).laws
     assert (known.options, own.law, own.options) == ({}, "own_code:Pd", {"K_p": 5.0})
     laws = [{"law": each.law, "title": each.label} for each in (known, own)]
-    assert compare_page.exception_to_tuning({"laws": laws}) == " but mine"
-    assert compare_page.exception_to_tuning({"laws": laws[:1]}) == ""
+    assert compare_page.laws_of_the_user({"laws": laws}) == ["mine"]
 
 
 def test_the_installed_suites_hold_every_law_and_the_tuned_ones_differ_in_robots_and_draws() -> None:

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from scipy import stats
 from fjr_core import ParameterError
 from fjr_core.errors import MissingPackageError
 from fjr_design.batch import draws
-from fjr_design.studies import sensitivity, study, sweep
+from fjr_design.studies import sensitivity, study, sweep, sweep_run
 from fjr_design.studies.study import StoreError, Workers, threads
 from fjr_design.studies.sweep import Columns, Sweep
 from fjr_design.studies.sweep_run import carry_out, jobs_of
@@ -365,6 +366,16 @@ def test_summary_agrees_with_the_table(table: tuple[Sweep, Columns]) -> None:
     assert found.effects[0].name == "delay"
     assert not columns["success"][found.failed]
     assert columns["rms.joint1"][found.worst] == columns["rms.joint1"][columns["success"]].max()
+
+
+def test_the_name_of_a_page_is_escaped(table: tuple[Sweep, Columns], tmp_path: Path) -> None:
+    plan, columns = table
+    named = replace(plan, name="<b onload=x>")
+    found = sensitivity.summarised(named, columns.__getitem__)
+    sweep_run.write_page(named, found, sweep_run.sweep_plots(named, columns.__getitem__, found), tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "<b onload" not in page
+    assert page.count("&lt;b onload=x&gt;") > 1
 
 
 def test_a_study_cannot_vary_what_only_the_built_in_plant_has() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import base64
 import re
+from collections import defaultdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -158,17 +159,18 @@ OF_A_PAGE: dict[str, Any] = {
     "kicker": HOSTILE,
     "notes": [HOSTILE],
     "tiles": [(HOSTILE, HOSTILE)],
-    "tables": [(HOSTILE, ["", HOSTILE], [[HOSTILE, HOSTILE]])],
-    "effects": [(HOSTILE, HOSTILE, HOSTILE, 0.5, 0.5)],
-    "influence_text": HOSTILE,
+    "groups": [(HOSTILE, [defaultdict(lambda: HOSTILE)])],
+    "reasons": [(HOSTILE, HOSTILE)],
+    "hold_outs": [(HOSTILE, [[HOSTILE, HOSTILE]])],
+    "hold_out_head": ["", HOSTILE],
+    "sections": [(HOSTILE, HOSTILE, True)],
     "json": {HOSTILE: HOSTILE},
-    "footer": HOSTILE,
 }
 
 
 def page(path: Path, **values: Any) -> str:
     plot = Plot(HOSTILE, HOSTILE, HOSTILE, np.arange(2.0), [Line(HOSTILE, np.ones(2))])
-    html.write_page(path, "sweep.html", HOSTILE, [plot], **values)
+    html.write_page(path, "identification.html", HOSTILE, [plot], **values)
     return path.read_text(encoding="utf-8")
 
 

@@ -18,31 +18,10 @@ from fjr_core.files.importing import is_named
 from fjr_core.numerics.checks import Array
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
-from fjr_msgs_py.console.output import number, plural
 
 from .compare_results import Row, extent, law_without_additions, rows
 from .trial import imperfection
 
-HOW = (
-    "Drag over a plot to enlarge it, double-click to go back. All results are in comparison.json in the same folder. "
-    "Works offline."
-)
-NO_RANKING = (
-    "Rows are facts about one quantity each, not a ranking: the rule of tuning makes bandwidths equal, but not margins "
-    "or peak efforts everywhere, and v-dPBC with the gains of the scenario is the tuning target."
-)
-ALL_ALIKE = (
-    "Every law is tuned to the same uncertainties with the same cost, draws and number of candidates. Rows are facts "
-    "about one quantity each."
-)
-TO_UNCERTAINTIES = (
-    "to the same uncertainties (docs/gains.md); every command is cut at the same limit. Gains are in comparison.json."
-)
-TUNED = (
-    "by one rule to equal bandwidth and peak effort (docs/compare.md); every command is cut at the same "
-    "limit. Gains are in comparison.json."
-)
-DASHED = "Green: best, or within 5 % of the best. A dash: does not track the nominal robot."
 TRACES = ("error", "The largest |q_l − q_ld|", "error [mrad]", 1e3), ("effort", "The largest |u|", "|u| [N m]", 1.0)
 Style = tuple[str, str, tuple[int, ...]]
 HEADROOM = 3.0  # times the largest error that counts as tracking; larger errors are not drawn
@@ -50,87 +29,33 @@ DASHES: tuple[tuple[int, ...], ...] = ((), (6, 4), (2, 3), (8, 3, 2, 3))
 
 
 def write_page(path: Path, document: dict[str, Any]) -> None:
-    """Write the page of a comparison (results.document)."""
-    found, laws, suite = rows(document), document["laws"], document["suite"]
-    page = "gains" if suite["tune"] else "compare"
+    """Write the page of a comparison (results.document), whose sentences are in the template."""
+    found = rows(document)
     html.write_page(
         path,
         "laws.html",
-        f"fjr compare {suite['name']}",
+        f"fjr compare {document['suite']['name']}",
         comparison_plots(document),
-        kicker=f"fjr compare {suite['name']}",
-        heading=f"{extent(document)[:-1]}: {', '.join(document['robots'])}",
-        tiles=[
-            (str(len(laws)), "versions of control laws"),
-            (str(document["runs"]), f"independent runs of {suite['duration']:g} s"),
-            (f"{100 * suite['tracks']:g} % of the motion", "RMS error up to which a stable run tracks"),
-            ("one rule", f"of tuning for all laws{exception_to_tuning(document)}: docs/{page}.md"),
-        ],
-        note=ALL_ALIKE if suite["tune"] else NO_RANKING,
-        laws=[
-            {"title": law["title"], "colour": colour, "dash": dash}
-            for law, (colour, dash) in zip(laws, looks(laws), strict=True)
-        ],
-        robots=[
-            _robot(i, robot, [row for row in found if row.robot == robot], document)
-            for i, robot in enumerate(document["robots"])
-        ],
-        sources_head=[
-            "",
-            "paper",
-            "added to the paper's law",
-            "measures",
-            *(f"tuned on {r}" for r in document["robots"]),
-        ],
-        sources=[[law["title"], law["paper"], law["adds"], law["measures"], *_tunings(law, document)] for law in laws],
-        sources_text=f"All{exception_to_tuning(document)} tuned {TO_UNCERTAINTIES if suite['tune'] else TUNED}",
-        footer=HOW,
+        document=document,
+        extent=extent(document),
+        own=laws_of_the_user(document),
+        looks=looks(document["laws"]),
+        units={name: parameter.unit for name, parameter in ROBUST.items()},
+        groups={
+            robot: {kind: _groups(found, robot, kind) for kind in ("drawn", "margins", "errors", "metrics")}
+            for robot in document["robots"]
+        },
     )
 
 
-def exception_to_tuning(document: dict[str, Any]) -> str:
-    """Return the exception to the rule of tuning: the laws of the user, which keep their options."""
-    titles = [law["title"] for law in document["laws"] if is_named(law["law"])]
-    return f" but {', '.join(titles)}" if titles else ""
+def laws_of_the_user(document: dict[str, Any]) -> list[str]:
+    """Return the titles of the laws of the user, which are not tuned: they keep their options."""
+    return [law["title"] for law in document["laws"] if is_named(law["law"])]
 
 
-def _robot(i: int, robot: str, found: Sequence[Row], document: dict[str, Any]) -> dict[str, Any]:
-    """Return heading, text, place of the plots and tables of one robot."""
-    data = document["robots"][robot]
-    references = "; ".join(
-        f"{name}: RMS {number(each['motion_rad'], 'rad')}, torque up to {number(max(each['torque_nm']), 'N m')} RMS"
-        for name, each in data["references"].items()
-    )
-    joints, period = plural(len(data["joints"]), "joint"), number(data["sample_period_s"] * 1e3, "ms")
-    part = f"{100 * document['suite']['tracks']:g} %"
-    margins = (
-        "The largest model error, delay, noise, friction and load with which the law still tracks along "
-        f"'{next(iter(data['references']))}': stable, with an RMS error of at most {part} of the motion. {DASHED}"
-    )
-    fresh = f"Fresh draws of the uncertainties that all laws are tuned to. {DASHED}"
-    drawn = _groups(found, "drawn")
-    return {
-        "name": robot,
-        "text": f"{joints}, sample period {period}. Motions: {references}.",
-        "place": f"robot-{i}",
-        "tables": [
-            *([("Drawn plants", drawn, fresh)] if drawn else []),
-            ("Robustness margins", _groups(found, "margins"), margins),
-            ("RMS error [mrad]", _groups(found, "errors"), "Of the links, over time and joints, once settled."),
-            ("The nominal run", _groups(found, "metrics"), "Errors in mrad; efforts from the start on."),
-        ],
-    }
-
-
-def _tunings(law: dict[str, Any], document: dict[str, Any]) -> list[str]:
-    options = ", ".join(f"{name} {number(value, ROBUST[name].unit)}" for name, value in law["robust"].items())
-    tunings = [document["results"][robot][law["label"]]["tuning"] for robot in document["robots"]]
-    return [f"{each}; {options}" if options else each for each in tunings]
-
-
-def _groups(found: Sequence[Row], kind: str) -> list[tuple[str, list[Row]]]:
-    """Return the rows of one kind, grouped by the reference that heads them."""
-    chosen = groupby((row for row in found if row.kind == kind), lambda row: row.reference)
+def _groups(found: Sequence[Row], robot: str, kind: str) -> list[tuple[str, list[Row]]]:
+    """Return the rows of one robot and kind, grouped by the reference that heads them."""
+    chosen = groupby((row for row in found if (row.robot, row.kind) == (robot, kind)), lambda row: row.reference)
     return [(reference, list(group)) for reference, group in chosen]
 
 

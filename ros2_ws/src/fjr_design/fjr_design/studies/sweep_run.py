@@ -12,6 +12,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
 from fjr_monitor.report.picture import COLOURS, GREY, LEGEND, draw_plot, write_picture
 from fjr_msgs_py.console.ending import stoppable
-from fjr_msgs_py.console.output import Result, aligned, finite, json_text, number, percent, plural, progress_bar, tell
+from fjr_msgs_py.console.output import Result, aligned, finite, json_text, percent, plural, progress_bar, tell
 
 from ..batch.draws import FIXED, LOG_UNIFORM, PARAMETERS
 from .sensitivity import Effect, ReadColumn, Summary, shown, summarised
@@ -40,14 +41,6 @@ IN_PYTHON = "law or plant are evaluated in Python: the runs are not compiled, an
 ENOUGH = 200  # runs from which the sensitivities are significant
 IN_TABLE = ("rms", "peak", "final", "settling", "effort_peak", "power")
 LARGEST_PART, SMALLEST_PART, PARTS = 1000, 10, 200
-INFLUENCE = (
-    "Share of the variance of success, and of log RMS error, that each parameter explains alone (first-order "
-    "sensitivity)."
-)
-HOW = (
-    "Drag over a plot to enlarge it, double-click to go back; a click on a name hides its line. The same runs are in "
-    "table.parquet and summary.json in the same folder. Needs no network."
-)
 PLOTTED = 4  # drawn parameters
 DOTS = 4000
 GOOD, BAD, LOST = "c1", "c2", "bad"
@@ -144,40 +137,19 @@ def headline(sweep: Sweep, summary: Summary) -> str:
 
 
 def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> None:
-    """Write the page as one self-contained file."""
-    limits = "".join(
-        f", {OUTCOMES[name][0]} at most {limit:g} {sweep.units(OUTCOMES[name][1])}"
-        for name, limit in sweep.success.items()
-    )
-    outcomes = [
-        [what, *(shown(value, unit, sweep) for value in summary.quantiles[name])]
-        for name, (what, unit) in OUTCOMES.items()
-    ]
+    """Write the page as one self-contained file; its sentences are in the template."""
     html.write_page(
         path,
         "sweep.html",
         headline(sweep, summary),
         plots,
-        kicker=f"sweep of {summary.runs:,} runs",
-        notes=[
-            f"a run succeeds when it is stable, not stopped by a limit of the controller{limits}",
-            f"errors count from {sweep.settle_after:g} s on; unstable: beyond {sweep.lost:.3g} {sweep.units('rad')}",
-            *(f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED),
-        ],
-        tiles=[
-            (percent(summary.succeeded / summary.runs), "succeed"),
-            (f"{percent(summary.low)} to {percent(summary.high)}", "95 % interval of that share"),
-            (percent(summary.stable / summary.runs), "are stable"),
-            (shown(summary.quantiles["rms"][1], "rad", sweep), "RMS error that 95 % of the stable runs keep"),
-        ],
-        tables=[("Stable runs, worst joint", ["", "median", "95 %", "99 %", "worst"], outcomes)],
-        effects=[
-            (e.name, *(number(float(edge), unit_of(sweep, e.name)) for edge in e.edges[[0, -1]]), e.success, e.error)
-            for e in summary.effects
-        ],
-        influence_text=INFLUENCE,
+        sweep=sweep,
+        summary=summary,
+        outcomes=OUTCOMES,
+        shown=partial(shown, sweep=sweep),
+        unit_of=partial(unit_of, sweep),
+        fixed=[f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED],
         json=finite(asdict(summary)),
-        footer=HOW,
     )
 
 
