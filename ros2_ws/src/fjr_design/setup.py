@@ -23,6 +23,7 @@ setup(
             "PyYAML>=6.0.1",
             "click>=8.2",
             "cma>=4.0",
+            "jinja2>=3.1",
             "pyarrow>=15",
             "tqdm>=4.66",
         ],

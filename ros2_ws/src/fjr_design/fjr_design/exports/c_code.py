@@ -6,15 +6,21 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
-from string import Template
+from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
 
 import casadi as ca
 import numpy as np
+import yaml
 from numpy.typing import ArrayLike
 
 from fjr_core.errors import ParameterError
 from fjr_core.numerics.fused_code import fused
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 LONGEST_PREFIX = 40
 _TARGETS = (
@@ -115,17 +121,33 @@ def comment(text: str) -> str:
     return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
 
 
-class _CTemplate(Template):
-    """Template with @{name} for values, since C, CMake and Markdown use `$` themselves."""
+@cache
+def _environment() -> Environment:
+    """Return the Jinja2 environment of the templates: @{value} and @% statement %@, since C and Markdown use braces."""
+    from jinja2 import Environment, StrictUndefined  # a tenth of a second, only where files are exported
 
-    delimiter = "@"
+    made = Environment(
+        variable_start_string="@{",
+        variable_end_string="}",
+        block_start_string="@%",
+        block_end_string="%@",
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    made.filters |= {"comment": comment, "number": number, "numbers": numbers, "quoted": quoted, "xml": escape}
+    made.filters["yaml"] = lambda names: yaml.safe_dump(
+        list(names), default_flow_style=True, allow_unicode=True, width=math.inf
+    ).strip()
+    return made
 
 
-def filled(folder: str, values: Mapping[str, str]) -> dict[str, str]:
+def filled(folder: str, **values: Any) -> dict[str, str]:
     """Return the texts of all templates of a folder below exports/ by the path of their file, both with the values."""
-    root = Path(__file__).parent / folder
+    root, made = Path(__file__).parent / folder, _environment()
     files = {file.relative_to(root).with_suffix("").as_posix(): file for file in sorted(root.rglob("*.in"))}
     return {
-        _CTemplate(path).substitute(values): _CTemplate(file.read_text(encoding="utf-8")).substitute(values)
+        made.from_string(path).render(values): made.from_string(file.read_text(encoding="utf-8")).render(values)
         for path, file in files.items()
     }

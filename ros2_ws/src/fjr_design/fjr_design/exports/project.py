@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from fjr_core.numerics.symbolic import dense_function
 from fjr_core.runtime.library import HEADER, SOURCES, model_functions, text
 from fjr_core.runtime.reference import ReferenceTable, reference_table
 
-from .c_code import casadi_code, checked_prefix, comment, filled, number, numbers, quoted, work_sizes
+from .c_code import casadi_code, checked_prefix, filled, number, numbers, work_sizes
 
 SAMPLES = 200
 PREFIX = "fjr"  # prefix of all names of the step in C
@@ -51,17 +51,6 @@ def export(scenario: Scenario, prefix: str, samples: int = SAMPLES, notes: str =
     law or plant in Python and if the loop diverges within the samples of the case, CompilerError without a C compiler.
     """
     prefix, scenario = checked_prefix(prefix), exportable(scenario)
-    values = {
-        "prefix": prefix,
-        "title": comment(scenario.name),
-        "joint_list": comment(", ".join(scenario.joints)),
-        "x0_numbers": numbers(scenario.x0),
-        "sample_period": number(scenario.sample_period),
-        "inner_steps": str(scenario.inner_steps),
-        "integrator": scenario.plant.integrator,
-        "samples": str(samples),
-        "notes": notes,
-    }
     step = step_code(scenario, plant_functions(scenario.plant))
     texts = {
         f"{prefix}.h": step["model.h"],
@@ -69,7 +58,7 @@ def export(scenario: Scenario, prefix: str, samples: int = SAMPLES, notes: str =
         f"{prefix}_step.h": step["step.h"],
         f"{prefix}_step.c": "\n".join(['#include "model.h"\n', *map(step.__getitem__, SOURCES)]),
         f"{prefix}_casadi.c": step["casadi.c"],
-        **filled("templates", values),
+        **filled("templates", scenario=scenario, prefix=prefix, samples=samples, notes=notes),
     }
     texts = {name: _renamed(text, prefix) for name, text in texts.items()}
     return texts | {"case.txt": recorded_case(scenario, samples)}
@@ -170,33 +159,20 @@ def step_code(scenario: Scenario, more: Mapping[str, ca.Function]) -> dict[str, 
     functions = {**own, **more}
     sizes = work_sizes(PREFIX, functions)
     sizes = {size: max(sizes[size], least) for size, least in CALLED.items()}
-    values = _values(scenario, list(own)) | {size: str(length) for size, length in sizes.items()}
-    texts = filled("step_templates", values) | {name: text(name) for name in (HEADER, *SOURCES)}
-    return texts | {"casadi.c": casadi_code(PREFIX, functions)}
-
-
-def _values(scenario: Scenario, functions: Sequence[str]) -> dict[str, str]:
-    """Return the values of the names in the templates; functions: names of those of struct fjr_model."""
-    law, step = scenario.sampled_law, scenario.control_step(compile=True)
-    names = {name: f"{PREFIX}_casadi_{name}" for name in functions}
-    arguments = "const double** arg, double** res, long long int* iw, double* w, int mem"
-    return {
-        "title": comment(scenario.name),
-        "title_literal": quoted(scenario.name),
-        "joint_list": comment(", ".join(scenario.joints)),
-        "joint_literals": ", ".join(map(quoted, scenario.joints)),
-        "n": str(scenario.robot.n),
-        "memory_length": str(max(1, len(law.memory))),
-        "gains": str(len(law.gain_values)),
-        "gain_words": _gain_words(scenario.law),
-        "gain_numbers": numbers(law.gain_values),
-        "sample_period": number(scenario.sample_period),
-        "functions": "\n".join(f"int {name}({arguments});" for name in names.values()),
-        "settings": _initialisers(step.ffi, step.controller.settings, {}),
-        "model": _initialisers(step.ffi, step.model, names),
-        "reference": reference_code(scenario.reference, "reference"),
-        "includes": "\n".join(f'#include "{name}"' for name in SOURCES),
-    }
+    step, names = scenario.control_step(compile=True), {name: f"{PREFIX}_casadi_{name}" for name in own}
+    texts = filled(
+        "step_templates",
+        scenario=scenario,
+        law=scenario.sampled_law,
+        functions=own,
+        sizes=sizes,
+        gain_words=_gain_words(scenario.law),
+        settings=_initialisers(step.ffi, step.controller.settings, {}),
+        model=_initialisers(step.ffi, step.model, names),
+        reference=reference_code(scenario.reference, "reference"),
+        sources=SOURCES,
+    )
+    return {**texts, **{name: text(name) for name in (HEADER, *SOURCES)}, "casadi.c": casadi_code(PREFIX, functions)}
 
 
 def _initialisers(ffi: Any, struct: Any, functions: Mapping[str, str]) -> str:

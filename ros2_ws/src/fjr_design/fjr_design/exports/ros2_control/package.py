@@ -6,15 +6,13 @@ The tables are C++ for the sources, and Markdown for the README.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 from xml.etree import ElementTree
-from xml.sax.saxutils import escape
 
 import casadi as ca
 import numpy as np
-import yaml
 
 from fjr_core.config.plant import imperfections as build_imperfections
 from fjr_core.config.plant import sensor_errors
@@ -27,7 +25,7 @@ from fjr_core.model.port_hamiltonian import Plant
 from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Certificate
 from fjr_core.numerics.checks import MOTOR
-from fjr_core.numerics.parameter_field import Parameter, declared
+from fjr_core.numerics.parameter_field import declared
 from fjr_core.runtime.events import KINDS, SENTENCES, level_of
 from fjr_core.runtime.safety_settings import Settings
 from fjr_core.simulation.imperfections import NAMES, Imperfections, SensorErrors
@@ -36,7 +34,7 @@ from fjr_core.urdf.tree import parse_xml
 from fjr_core.version import __version__
 from fjr_monitor.diagnosis.thresholds import LONGEST_JUDGED
 
-from ..c_code import comment, filled, number, numbers, quoted
+from ..c_code import filled, number, quoted
 from ..project import exportable, recorded_case, step_code
 
 TAG = "ros2_control"
@@ -50,13 +48,6 @@ SAMPLES = 400
 LONGEST_NAME = 60
 CERTIFIED = ("V", "H", "dissipation", "dissipated", "u_law", "drive")
 """Outputs of the certificate's function that fjr_certify reads; the last, its gradient, would double the code."""
-INTERFACES = (
-    ("joints", "the scenario's", "state interfaces of the links: `<joint>/position`, `<joint>/velocity`"),
-    ("motors", "`<joint>_motor`", "state interfaces of the motors: `<motor>/position`, `<motor>/velocity`"),
-    ("command_joints", "`<joint>_motor`", "command interfaces: `<command_joint>/effort`"),
-    ("stamp_interface", "none", "state interface with the time of the measurement in ns; none: the time of the update"),
-    ("publish_rate", "100 Hz", "largest rate of `~/certificate`"),
-)
 
 
 def package_name_of(scenario: str) -> str:
@@ -80,10 +71,9 @@ def export_package(scenario: Scenario, package: str, samples: int = SAMPLES) -> 
     arm = NonidealPlant(Plant(scenario.plant.robot, scenario.plant.integrator)).functions_as_c
     functions = {**_certificate(scenario.certified_law), **{f"plant_{name}": each for name, each in arm.items()}}
     texts = {f"step/{name}": text for name, text in step_code(scenario, functions).items()}
-    values = _values(scenario, package) | {"samples": str(samples)}
-    texts |= filled("ros2_control/templates", values)
+    texts |= filled("ros2_control/templates", package=package, samples=samples, **_values(scenario))
     urdf, parameters = description(scenario.plant_values), parameters_of(scenario)
-    texts[f"urdf/{package}.urdf"] = with_hardware(urdf, package, scenario.joints, values["clock"], parameters)
+    texts[f"urdf/{package}.urdf"] = with_hardware(urdf, package, scenario.joints, f"{package}_clock", parameters)
     return texts | {"test/case.txt": recorded_case(scenario, samples)}
 
 
@@ -96,72 +86,35 @@ def _certificate(law: TrackingLaw | None) -> dict[str, ca.Function]:
     return {"certificate": function.slice("certificate", list(range(function.n_in())), outputs)}
 
 
-def _values(scenario: Scenario, package: str) -> dict[str, str]:
-    """Return the values of the names in the templates."""
-    joints, missing = scenario.joints, ", ".join(f"`{name}`" for name in not_exported(scenario))
-    return {
-        "package": package,
-        "PACKAGE": package.upper(),
-        "title": comment(scenario.name),
-        "title_xml": escape(scenario.name),
-        "version": __version__,
-        "rate": str(round(1 / scenario.sample_period)),
-        "clock": f"{package}_clock",
-        "joint_yaml": _yaml(joints),
-        "motor_yaml": _yaml([f"{joint}{MOTOR}" for joint in joints]),
-        "chained_yaml": _yaml([f"tracking_controller/{joint}" for joint in joints]),
-        **_certificate_values(scenario),
-        **_arm_values(scenario),
-        **_gain_values(scenario.certified_law, scenario.robot.n),
-        **_readme_rows(),
-        "kinds": ",\n".join(f"  {{{quoted(name)}, Level::{level_of(name)}}}" for name in KINDS),
-        "wiring_sentences": ",\n".join(f"  {quoted(sentence)}" for sentence in SENTENCES.values()),
-        "not_exported": f"\nThe scenario also sets {missing}: not in this arm.\n" if missing else "",
-    }
+def _values(scenario: Scenario) -> dict[str, Any]:
+    """Return the values of the names in the templates, beside the package and its samples.
 
-
-def _yaml(names: Sequence[str]) -> str:
-    """Format names as a list of YAML on one line."""
-    return str(yaml.safe_dump(list(names), default_flow_style=True, allow_unicode=True, width=math.inf)).strip()
-
-
-def _certificate_values(scenario: Scenario) -> dict[str, str]:
-    """Return the values of certificate.hpp; without a certificate its function is never called.
-
-    The rate is that of the whole range where a closed form proves one, else of the scenario's configurations.
+    plant_table: name, place, length and least value of each parameter of the plant. The rate of the certificate is that
+    of the whole range where a closed form proves one, else of the scenario's configurations.
     """
-    law, name = scenario.certified_law, "fjr_casadi_certificate"
-    values = {"longest": number(LONGEST_JUDGED), "B_numbers": numbers(scenario.robot.B_m)}
-    if law is None:
-        absent = {"certificate_declaration": "", "certificate_function": "nullptr", "certified": "false"}
-        return {**values, **absent, "bounded": "0", "beta": number(0.0)}
-    where = None if law.robot.links.M_l_vertices is not None else scenario.configurations()
-    declaration = f"int {name}(const double ** arg, double ** res, long long int * iw, double * w, int mem);"
-    return {
-        **values,
-        "certificate_declaration": declaration,
-        "certificate_function": name,
-        "certified": "true",
-        "bounded": "1" if isinstance(scenario.sampled_law, StaticLaw) else "0",
-        "beta": number(law.rate(where).beta),
-    }
-
-
-def _arm_values(scenario: Scenario) -> dict[str, str]:
-    """Return the values of elastic_arm.cpp; the parameters of the scenario are in the tag.
-
-    plant_table: name, place, length and least value of each parameter of the plant.
-    """
-    ideal, rows = Imperfections(scenario.robot.n).vector, []
+    law, missing = scenario.certified_law, ", ".join(f"`{name}`" for name in not_exported(scenario))
+    rows = []
     for name, first, length, least in table_of(scenario.plant.robot):
         bound = number(float(least)) if np.isfinite(least) else "-std::numeric_limits<double>::infinity()"
         rows.append(f"  {{{quoted(name)}, {first}, {length}, {bound}}}")  # INFINITY is a float in C++
+    everywhere = law is not None and law.robot.links.M_l_vertices is not None
     return {
-        "inner_step": number(scenario.sample_period / scenario.inner_steps * 1e9),
-        "parameters": str(len(ideal)),
+        "scenario": scenario,
+        "version": __version__,
+        "motors": [f"{joint}{MOTOR}" for joint in scenario.joints],
+        "chained": [f"tracking_controller/{joint}" for joint in scenario.joints],
+        "longest": LONGEST_JUDGED,
+        "certified": law is not None,
+        "bounded": law is not None and isinstance(scenario.sampled_law, StaticLaw),
+        "beta": law.rate(None if everywhere else scenario.configurations()).beta if law else 0.0,
+        "ideal": Imperfections(scenario.robot.n).vector,
         "plant_table": ",\n".join(rows),
-        "plant_numbers": numbers(ideal).replace("INFINITY", "HUGE_VAL"),
-        "start_numbers": numbers(scenario.x0[: 2 * scenario.robot.n]),
+        **_gain_values(law, scenario.robot.n),
+        "safety": declared(Settings).values(),
+        "arm": [*DYNAMICS.values(), *SENSORS.values()],
+        "kinds": ",\n".join(f"  {{{quoted(name)}, Level::{level_of(name)}}}" for name in KINDS),
+        "wiring_sentences": ",\n".join(f"  {quoted(sentence)}" for sentence in SENTENCES.values()),
+        "not_exported": f"\nThe scenario also sets {missing}: not in this arm.\n" if missing else "",
     }
 
 
@@ -182,21 +135,6 @@ def _gain_values(law: TrackingLaw | None, n: int) -> dict[str, str]:
     rows = [(name, *start, inverse[0] if name == "Pi_m" else -1) for name, start in starts.items()]
     text = ",\n  ".join(f"{{{quoted(name)}, {start}, {length}, {at}}}" for name, start, length, at in rows)
     return {"gain_table": f"\n  {text}", "hold_damping_gain": str([row[0] for row in rows].index("K_md"))}
-
-
-def _readme_rows() -> dict[str, str]:
-    """Return the rows of the README for the parameters of controller and arm."""
-
-    def row(each: Parameter, default: str) -> str:
-        unit = f" [{each.unit}]" if each.unit else ""
-        description = each.description.replace("|", "\\|")
-        return f"| `{each.name}` | {default} | {description}{unit} |"
-
-    own = [f"| `{name}` | {default} | {text} |" for name, default, text in INTERFACES]
-    safety = [row(each, "the scenario's") for each in declared(Settings).values()]
-    defaults = [(each, each.default) for each in (*DYNAMICS.values(), *SENSORS.values())]
-    arm = [row(each, f"{value:g}" if isinstance(value, float) else str(value)) for each, value in defaults]
-    return {"controller_rows": "\n".join([*own, *safety]), "arm_rows": "\n".join(arm)}
 
 
 def table_of(robot: Robot) -> list[tuple[str, int, int, float]]:
