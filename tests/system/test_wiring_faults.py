@@ -205,7 +205,7 @@ def assert_found(
     plant, rng, x = fjr.Plant(robot), np.random.default_rng(5), robot.state(*np.zeros((4, 2)))
     here, oracle = WiringCheck(robot, NAMES), NumericCheck(robot)
     for k in range(STATES):
-        q = signs * (x[:4] + 1e-6 * rng.standard_normal(4))
+        q = signs * (x[:4] + 1e-5 * rng.standard_normal(4))
         dq = signs * (np.hstack(robot.velocities(x)) + noise * rng.standard_normal(4))
         found = here.see(1e-3 * k, q, dq)
         np.testing.assert_equal(values(found), said(oracle.see(1e-3 * k, q, dq), NAMES))

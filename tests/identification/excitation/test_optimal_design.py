@@ -27,6 +27,7 @@ from fjr_identification.excitation.optimal_design import ExcitationDesign, desig
 from fjr_msgs_py.scenarios import library
 
 NOISE = JointNoise(np.full(2, 1e-5), np.full(2, 2e-5), np.full(2, 1e-2))
+FOLLOWED = ("q_l", "q_m", "dq_l", "dq_m", "u", "ddq_m")
 SINE = fjr.Sine([0.5, 0.4], 2.0, phase=-np.pi / 2)
 
 
@@ -61,6 +62,21 @@ def test_the_motion_keeps_every_limit_and_starts_and_ends_at_rest(found):
     jets = result.reference.jets(np.array([0.0, result.period, result.duration]))
     assert np.allclose(jets[:, 1], 0.0, atol=1e-9)
     assert np.allclose(jets[:, 2], 0.0, atol=1e-8)
+
+
+def test_hardening_springs_are_deflected_up_to_their_limit_and_the_plant_follows_the_motion() -> None:
+    """At the limit of the deflection each spring pulls twice as much as a straight one."""
+    straight, most = fjr.planar_two_link(input_gain=[0.5, 2.0]), 0.04
+    K = np.diag(straight.K)
+    robot = replace(straight, cubic=K / most**2)
+    result = design(robot, limits(robot, deflection=most, effort=60.0), NOISE, SINE, 5.0, 1e-3)
+    motion = elastic_motion(robot, result.reference.jets(np.linspace(0, 5, 501)))
+    zeta = motion.q_m - motion.q_l
+    np.testing.assert_allclose(motion.torque, K * (zeta + zeta**3 / most**2), rtol=1e-9, atol=1e-9)
+    assert 0.85 * most < np.abs(zeta).max() <= most
+    for q_l, q_m, dq_l, dq_m, u, ddq_m in zip(*(getattr(motion, name)[::50] for name in FOLLOWED), strict=True):
+        rate = fjr.Plant(robot).derivative(robot.state(q_l, q_m, dq_l, dq_m), u)
+        np.testing.assert_allclose(rate[6:], robot.M_m @ ddq_m, rtol=1e-9, atol=1e-9)
 
 
 def test_the_motion_tells_more_of_every_parameter_than_a_sine_within_the_same_limits(found):
@@ -126,11 +142,14 @@ def test_the_noise_of_an_encoder_is_that_of_its_steps():
     assert noise == pytest.approx([1e-6, 2 * np.pi / 4096 / np.sqrt(12), 1e-4])
 
 
-def test_an_input_gain_with_limits_in_its_efforts_changes_no_deviation(monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("springs", [{}, {"robot.cubic_stiffness": [4e3, 2.5e3]}], ids=["straight", "hardening"])
+def test_an_input_gain_with_limits_in_its_efforts_changes_no_deviation(
+    springs: dict[str, list[float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(optimal_design, "STEPS", 5)
     found = []
     for gain in (1.0, 0.1):
-        changes = {"robot.input_gain": [gain] * 2, "limits.effort": [60.0 / gain] * 2}
+        changes = {"robot.input_gain": [gain] * 2, "limits.effort": [60.0 / gain] * 2, **springs}
         path = library.find("two_link")
         found.append(_designed(library.as_run(path, changes)[1], 3.0, 1e-5, 0))
     assert found[1].before == pytest.approx(found[0].before, rel=1e-6)
