@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Change one operator or number at a time in model, law, control step and certificate, and see whether a test fails.
 
-. ros2_ws/install/setup.sh && .venv/bin/python tools/mutants.py [SECONDS]        # an hour or more for all
+. ros2_ws/install/setup.sh && .venv/bin/python tools/mutants.py [SECONDS [SIZE [SEED]]]
 
-A uniform sample of SIZE mutants, in an order that its seed fixes, is tried in a copy of fjr_core by the tests of TESTS.
+A uniform sample of SIZE mutants, in an order that SEED fixes, is tried in a copy of fjr_core by the tests of TESTS.
 Results are added to build/mutants.tsv; the next run continues there, and repeats what took longer than SECONDS.
 """
 
@@ -27,7 +27,7 @@ from scipy.stats import binomtest
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES, LOG = ROOT / "ros2_ws" / "src", ROOT / "build" / "mutants.tsv"
-SEED, SIZE, LONGEST = 25, 300, 300.0  # s
+LONGEST, SIZE, SEED = 300, 300, 25  # s of one mutant; all take an hour or more
 STEP = " ".join(f"core/runtime/test_{name}.py" for name in ("step", "reference", "certificate", "measurement"))
 STEP += " tracking"
 TESTS = {
@@ -56,7 +56,7 @@ def mutants(file: Path) -> Iterator[tuple[int, str, str]]:
 
 def outcome(folder: Path, tests: str, longest: float) -> str:
     """Return killed, survived or timeout for the fjr_core in a folder; no process of the tests is left."""
-    path = os.pathsep.join([str(folder), *map(str, SOURCES.iterdir())])
+    path = os.pathsep.join([str(folder), *map(str, SOURCES.iterdir()), os.environ["PYTHONPATH"]])  # entry points last
     env = os.environ | {"PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", "TMPDIR": str(folder)}
     env |= {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     options = ["-x", "-q", "-p", "timeout", "-p", "hypothesispytest", "-p", "no:cacheprovider"]
@@ -74,13 +74,17 @@ def outcome(folder: Path, tests: str, longest: float) -> str:
 def main() -> None:
     """Try what is left of the sample; print the share of killed mutants with its 95 % interval (Wilson)."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that `finally` ends the tests
-    core, longest = SOURCES / "fjr_core" / "fjr_core", float(sys.argv[1]) if sys.argv[1:] else LONGEST
+    core, given = SOURCES / "fjr_core" / "fjr_core", [int(word) for word in sys.argv[1:]]
+    longest, size, seed = given + [LONGEST, SIZE, SEED][len(given) :]
     every = [(file, tests, *m) for p, tests in TESTS.items() for file in sorted(core.glob(p)) for m in mutants(file)]
     LOG.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="fjr-mutants-") as folder, LOG.open("a+", encoding="utf-8") as log:
         log.seek(0)
         results = dict(line.rstrip("\n").rsplit("\t", 1) for line in log)
-        for file, tests, place, old, new in random.Random(SEED).sample(every, SIZE):
+        shutil.copytree(core, Path(folder, core.name))
+        if failing := [tests for tests in TESTS.values() if outcome(Path(folder), tests, longest) == "killed"]:
+            sys.exit(f"tests fail without a mutant: {failing}")
+        for file, tests, place, old, new in random.Random(seed).sample(every, size):
             text, name = file.read_text(encoding="utf-8"), file.relative_to(core)
             row, column = text.count("\n", 0, place) + 1, place - text.rfind("\n", 0, place)
             mutant = f"{name}:{row}:{column}\t{old} -> {new}"
