@@ -18,6 +18,7 @@ setup(
     package_data={
         package_name: [
             "py.typed",
+            "__init__.pyi",
             "runtime/*.[ch]",
         ]
     },

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Public names of fjr_core, for type checkers and for __init__.py, which imports a name when it is used."""
+
+from fjr_design import testing as testing
+from fjr_design.stability.sampled_loop import SampledCheck as SampledCheck
+from fjr_design.stability.sampled_loop import check as check
+from fjr_design.tuning.gain_synthesis import synthesize as synthesize
+from fjr_monitor.diagnosis.diagnosis import diagnose as diagnose
+from fjr_monitor.diagnosis.record import Record as Record
+from fjr_monitor.diagnosis.verdict import Diagnosis as Diagnosis
+
+from .errors import FjrError as FjrError
+from .errors import GainsError as GainsError
+from .errors import ParameterError as ParameterError
+from .errors import RobotError as RobotError
+from .errors import StateError as StateError
+from .errors import TrajectoryError as TrajectoryError
+from .errors import UserCodeError as UserCodeError
+from .extensions.python_code import PythonLaw as PythonLaw
+from .extensions.python_code import PythonPlant as PythonPlant
+from .law.gains import PAPER_GAINS as PAPER_GAINS
+from .law.gains import Gains as Gains
+from .law.rate import Rate as Rate
+from .law.vdpbc import Evaluation as Evaluation
+from .law.vdpbc import TrackingLaw as TrackingLaw
+from .model.closed_form_arms import planar_two_link as planar_two_link
+from .model.closed_form_arms import single_link as single_link
+from .model.joints import JointLimits as JointLimits
+from .model.newton_euler import serial_chain as serial_chain
+from .model.port_hamiltonian import Plant as Plant
+from .model.rigid_arm import Body as Body
+from .model.robot import Robot as Robot
+from .model.virtual_system import VirtualSystem as VirtualSystem
+from .monitoring.certificate import Certificate as Certificate
+from .motions.motion_limits import MotionLimits as MotionLimits
+from .motions.motion_limits import check_motion as check_motion
+from .motions.point_to_point import Circle as Circle
+from .motions.point_to_point import Hold as Hold
+from .motions.point_to_point import PointToPoint as PointToPoint
+from .motions.point_to_point import standing as standing
+from .motions.reference import Reference as Reference
+from .motions.sine import MultiSine as MultiSine
+from .motions.sine import Sine as Sine
+from .motions.spline import SampledMotion as SampledMotion
+from .motions.spline import Spline as Spline
+from .motions.transition import time_shifted as time_shifted
+from .motions.transition import transition as transition
+from .runtime.measurement_model import Measurement as Measurement
+from .runtime.velocity_observer import VelocityObserver as VelocityObserver
+from .simulation.closed_loop import Trajectory as Trajectory
+from .simulation.closed_loop import simulate as simulate
+from .stability.linearization import spectral_radius as spectral_radius
+from .urdf.robot import robot_from_urdf as robot_from_urdf
+from .version import __version__ as __version__
