@@ -129,7 +129,9 @@ def test_bound_and_contact_name_the_efforts_of_each_kind_of_joint(file: Path) ->
     assert "external torque on lift 30 N, elbow 2 N m" in Contact(1.0, 2.0, touched, None, AT_TIP, None).sentence
 
 
-def test_a_sweep_and_a_tuning_of_prismatic_joints_are_in_mm_and_newtons(file: Path, tmp_path: Path) -> None:
+def test_a_sweep_a_tuning_and_a_comparison_of_prismatic_joints_are_in_mm_and_newtons(
+    file: Path, tmp_path: Path
+) -> None:
     lift = URDF.replace('type="revolute"', 'type="prismatic"')
     (tmp_path / "lift_arm.urdf").write_text(lift)
     (tmp_path / "arm.yaml").write_text(file.read_text())
@@ -137,10 +139,20 @@ def test_a_sweep_and_a_tuning_of_prismatic_joints_are_in_mm_and_newtons(file: Pa
     swept = fjr_here("sweep", *options, "--runs", "8")
     assert re.search(r"rms +[\d.]+ mm", swept)
     assert re.search(r"effort_peak +[\d.]+ N ", swept)
+    limits = (tmp_path / "arm" / "report.html").read_text()
+    assert "unstable: beyond 0.3 m<" in limits
     tuned = fjr_here("tune", *options, "--candidates", "4", "--draws", "4", "--fresh", "8")
     assert re.search(r"RMS error, median +[\d.]+ mm", tuned)
     page = (tmp_path / "arm" / "report.html").read_text()
-    for said in (swept, tuned, page):
+    moved = {"scenario": str(tmp_path / "arm.yaml"), "references": {"slow": {"reference.amplitude": [0.05, 0.05]}}}
+    suite = {"laws": ["v_dpbc"], "robots": {"lifts": moved}, "margins": ["noise"], "duration": 3.0, "tracks": 0.5}
+    (tmp_path / "lifts.yaml").write_text(json.dumps(suite))
+    compared = fjr_here("compare", str(tmp_path / "lifts.yaml"), "--output", str(tmp_path))
+    assert re.search(r"noise up to +[\d.]+ mm", compared)
+    assert "RMS error [mm]" in compared
+    beside = (tmp_path / "compare_lifts" / "comparison.html").read_text()
+    assert all(words in beside for words in ("noise of the positions [mm]", "|u| [N]", "Errors in mm;"))
+    for said in (swept, tuned, page, limits, compared, beside):
         assert not re.search(r"\d m?rad\b|\[m?rad\]|N m\b", said)
 
 

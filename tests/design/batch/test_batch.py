@@ -98,6 +98,22 @@ def test_final_error_settling_time_and_power_match_their_definitions() -> None:
     assert result.power[0] == pytest.approx(np.abs(recorded.u[0, :, 0] * velocity).mean(), rel=1e-12)
 
 
+def test_errors_are_held_against_the_limits_of_each_joint() -> None:
+    loop = loop_of(PLANAR[0].robot, PLANAR[1])
+    _, recorded = loop.recorded(Draws(1))
+    error = np.abs(recorded.x[0, :, :2] - loop.reference.jets(recorded.t)[:, 0])
+    first, second = (0.9 * error.max(axis=0)).tolist()
+    settled, lost = replace(loop, band=[first, 1.0]).run(Draws(1)), replace(loop, lost=[1.0, second]).run(Draws(1))
+    assert settled.settling[0] == pytest.approx(PERIOD * (1 + np.flatnonzero(error[:, 0] > first)[-1]))
+    assert lost.lost_at[0] == pytest.approx(PERIOD * np.flatnonzero(error[:, 1] > second)[0])
+
+
+def test_a_prismatic_joint_settles_and_is_lost_in_metres() -> None:
+    robot = replace(PLANAR[0].robot, prismatic=(True, False))
+    loop = loop_of(robot, PLANAR[1])
+    assert (list(loop.band), list(loop.lost)) == ([0.002, 0.01], [0.3, np.pi / 2])
+
+
 MANY = {
     "stiffness": np.linspace(0.7, 1.3, 7),
     "gravity": np.linspace(0.5, 1.5, 7),
@@ -229,7 +245,8 @@ REFUSED: list[tuple[type[fjr.FjrError], dict[str, Any], str]] = [
     (ParameterError, {"seed": [0.5, 1, 2]}, "seed is of float64"),
     (StateError, {"duration": 0.0}, "duration is 0.0 s; expected a positive"),
     (StateError, {"band": "wide"}, "band is 'wide'; expected numbers"),
-    (StateError, {"lost": None}, "lost is None rad; expected a positive"),
+    (StateError, {"lost": 0.0}, "lost is [0.0]; expected positive numbers"),
+    (StateError, {"lost": [1.0, 1.0]}, "lost has shape (2,); expected a scalar or (1,)"),
     (StateError, {"settle_after": -0.1}, "settle_after is -0.1 s; expected 0 or more"),
     (StateError, {"settle_after": 0.3}, "settle_after is 0.3 s; expected less than --duration, 0.3 s"),
     (

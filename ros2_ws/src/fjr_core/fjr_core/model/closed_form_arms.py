@@ -39,7 +39,7 @@ def single_link(
     parameters as in Robot. Figure 2 of the paper uses stiffness = 3.1 N m/rad. A payload is subject to gravity of
     9.81 m/s^2 in a vertical plane; the x axis of the link frame points along the link. Raises RobotError.
     """
-    (inertia,) = _positive("link_inertia", link_inertia, 1)
+    (inertia,) = checks.positive_vector("link_inertia", link_inertia, 1, RobotError)
     (load,) = checks.vector("gravity_torque", gravity_torque, 1, RobotError)
     M_l = np.array([[inertia]])
     links = closed_form(
@@ -72,10 +72,10 @@ def planar_two_link(
     second link's frame points along the link. Raises RobotError.
     Equations: M. W. Spong, S. Hutchinson, M. Vidyasagar, Robot Modeling and Control, sec. 7.4.
     """
-    m1, m2 = _positive("link_mass", link_mass, 2)
-    l1, _ = _positive("link_length", link_length, 2)
-    c1, c2 = _positive("link_com", link_com, 2)
-    I1, I2 = _positive("link_inertia", link_inertia, 2)
+    m1, m2 = checks.positive_vector("link_mass", link_mass, 2, RobotError)
+    l1, _ = checks.positive_vector("link_length", link_length, 2, RobotError)
+    c1, c2 = checks.positive_vector("link_com", link_com, 2, RobotError)
+    I1, I2 = checks.positive_vector("link_inertia", link_inertia, 2, RobotError)
     (g,) = checks.vector("gravity", gravity, 1, RobotError)
     constant = np.array([[I1 + m1 * c1**2 + m2 * l1**2, 0], [0, 0]]) + (I2 + m2 * c2**2) * np.ones((2, 2))
     coupling = m2 * l1 * c2 * np.array([[2, 1], [1, 0]])
@@ -141,13 +141,6 @@ def _planar_body(joint: float | None, mass: float, com: float, inertia: float) -
 def _along(angle: ca.SX) -> ca.SX:
     """Return the direction of a link at an angle [rad] from straight down; x forward, z up."""
     return ca.vertcat(ca.sin(angle), 0, -ca.cos(angle))
-
-
-def _positive(name: str, value: ArrayLike, n: int) -> checks.Array:
-    array = checks.vector(name, value, n, RobotError)
-    if not np.all(array > 0):
-        raise RobotError(f"{name} is {array.tolist()}; expected positive numbers")
-    return array
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,12 @@ REVOLUTE = Units("rad", "rad/s", "rad/s^2", "N m")
 PRISMATIC = Units("m", "m/s", "m/s^2", "N")
 
 
+def in_units(text: str, joints: Iterable[Units]) -> str:
+    """Return a text, which has the units of a revolute joint, with the distinct units of several joints."""
+    kinds = tuple(joints)
+    return re.sub(r"\bm?rad\b|\bN m\b", lambda unit: joined(each.of(unit[0]) for each in kinds), text)
+
+
 def joined(units: Iterable[str]) -> str:
     """Return the distinct units of several joints, separated by commas, as in "rad, m"."""
     return ", ".join(dict.fromkeys(units))

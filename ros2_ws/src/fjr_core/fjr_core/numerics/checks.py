@@ -40,6 +40,14 @@ def vector(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
     return filled(name, finite(name, value, error), (n,), error)
 
 
+def positive_vector(name: str, value: ArrayLike, n: int, error: type[FjrError]) -> Array:
+    """Return `value` as (n,), as `vector` does; raise `error` unless all entries are positive."""
+    array = vector(name, value, n, error)
+    if not np.all(array > 0):
+        raise error(f"{name} is {array.tolist()}; expected positive numbers")
+    return array
+
+
 def filled(name: str, array: Array, shape: tuple[int, ...], error: type[FjrError]) -> Array:
     """Return an array of this shape; a scalar stands for equal entries. Raises `error`."""
     if array.shape not in ((), shape):

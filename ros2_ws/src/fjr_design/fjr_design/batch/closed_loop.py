@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from fjr_core.config.scenario import Scenario
 
 LAST = 1.0  # s; averaging time of Outcomes.final
+BAND, LOST = (0.01, 0.002), (float(np.pi / 2), 0.3)
+"""Default of ClosedLoop.band and lost for a revolute [rad] and for a prismatic joint [m]."""
 LANES = 4  # number of interleaved runs
 SOURCES = ("loop.h", "noise.c", "loop.c")
 
@@ -118,10 +120,10 @@ class ClosedLoop:
 
     x0 (4n,): initial state of the nominal plant; every run starts at its positions and velocities. duration,
     sample_period [s]. inner_steps: Runge-Kutta steps of order 4 per sample (more if a delay divides the sample).
-    settle_after [s], band [rad]: see Outcomes. lost [rad]: a run ends as not stable if a link error exceeds it or a
-    number is not finite. plant: a plant in Python that replaces the equations of motion of the robot.
-    settings: limits, start and stop policy; by default none but the effort limit of the draws, and in any case the
-    tighter of both effort limits. observer, measurement: of the controller; by default velocities are measured.
+    settle_after [s], band (n,) [rad]: see Outcomes. lost (n,) [rad]: a run ends as not stable if a link error exceeds
+    it or a number is not finite. plant: a plant in Python that replaces the equations of motion of the robot. settings:
+    limits, start and stop policy; by default none but the effort limit of the draws, and in any case the tighter of
+    both effort limits. observer, measurement: of the controller; by default velocities are measured.
     The loop is compiled once and cached; a law or plant in Python is called from it, some thousand times slower. The
     results of a run depend only on its own draws, to the last bit. Raises StateError and ParameterError, CompilerError
     without a C compiler, and UserCodeError for a failure of a law or plant in Python.
@@ -135,8 +137,8 @@ class ClosedLoop:
     sample_period: float
     inner_steps: int = 4
     settle_after: float = 1.0
-    band: float = 0.01
-    lost: float = np.pi / 2
+    band: ArrayLike | None = None
+    lost: ArrayLike | None = None
     plant: Plant | None = None
     settings: Settings | None = None
     observer: VelocityObserver | None = None
@@ -145,8 +147,11 @@ class ClosedLoop:
     def __post_init__(self) -> None:
         object.__setattr__(self, "x0", checks.vector("x0", self.x0, 4 * self.robot.n, StateError))
         check_joints(self.robot, self.law.robot, self.reference)
-        for name, unit in (("duration", "s"), ("sample_period", "s"), ("lost", "rad"), ("band", "rad")):
-            checks.positive(name, getattr(self, name), StateError, unit)
+        for name in ("duration", "sample_period"):
+            checks.positive(name, getattr(self, name), StateError)
+        for name, given, usual in (("band", self.band, BAND), ("lost", self.lost, LOST)):
+            sizes = [usual[unit.position == "m"] for unit in self.robot.units] if given is None else given
+            object.__setattr__(self, name, checks.positive_vector(name, sizes, self.robot.n, StateError))
         if not checks.positive("settle_after", self.settle_after, StateError, zero=True) < self.duration:
             raise StateError(f"settle_after is {self.settle_after} s; expected less than --duration, {self.duration} s")
         if self._first > self._samples:

@@ -93,8 +93,8 @@ static int add_errors(const struct fjr_batch* b, struct run* r, const double* q_
   int inside = 1;
   for (int i = 0; i < N; ++i) {
     const double e = fabs(r->x[i] - q_ld[i]);
-    inside &= e <= b->lost;
-    if (e > b->band) *s->settling = (double)(r->sample + 1);
+    inside &= e <= b->lost[i];
+    if (e > b->band[i]) *s->settling = (double)(r->sample + 1);
     if (r->sample >= b->first) s->rms[i] += e * e, s->peak[i] = fmax(s->peak[i], e);
     if (r->sample >= b->last_second) s->final[i] += e;
   }

@@ -15,7 +15,8 @@ struct fjr_plant {
 /* Sample k has the stamp k period. A trace row is x, u and the sample: link, motor, velocity. */
 struct fjr_batch {
   int64_t samples, first, last_second, ring, width; /* width: of the drawn parameters */
-  double period, lost, band;                        /* s, rad, rad */
+  double period;                                    /* s */
+  const double *lost, *band;                        /* of each joint (N), rad or m */
   const struct fjr_settings* settings;
   const struct fjr_reference* reference;
   const double *gains, *position, *velocity; /* at the start (2 N) */

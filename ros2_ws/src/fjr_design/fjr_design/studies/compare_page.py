@@ -7,6 +7,8 @@ The plots show the error over each imperfection and the nominal run over time, a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -19,7 +21,7 @@ from fjr_core.numerics.checks import Array
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
 
-from .compare_results import Row, extent, law_without_additions, rows
+from .compare_results import Row, extent, in_units_of, law_without_additions, rows
 from .trial import imperfection
 
 TRACES = ("error", "The largest |q_l − q_ld|", "error [mrad]", 1e3), ("effort", "The largest |u|", "|u| [N m]", 1.0)
@@ -41,6 +43,7 @@ def write_page(path: Path, document: dict[str, Any]) -> None:
         own=laws_of_the_user(document),
         looks=looks(document["laws"]),
         units={name: parameter.unit for name, parameter in ROBUST.items()},
+        said=partial(in_units_of, document),
         groups={
             robot: {kind: _groups(found, robot, kind) for kind in ("drawn", "margins", "errors", "metrics")}
             for robot in document["robots"]
@@ -61,17 +64,21 @@ def _groups(found: Sequence[Row], robot: str, kind: str) -> list[tuple[str, list
 
 def comparison_plots(document: dict[str, Any]) -> list[Plot]:
     """Return all plots, robot by robot."""
-    plots, found = [], rows(document)
+    plots: list[Plot] = []
+    found = rows(document)
     styles = [(str(law["title"]), *look) for law, look in zip(document["laws"], looks(document["laws"]), strict=True)]
     for i, robot in enumerate(document["robots"]):
         results = [document["results"][robot][law["label"]] for law in document["laws"]]
         laws = list(zip(styles, results, strict=True))
         place = f"robot-{i}"
         margins = [row for row in found if row.robot == robot and row.kind == "margins"]
-        plots += [_trace(place, laws, *texts) for texts in TRACES]
+        of_robot = [_trace(place, laws, *texts) for texts in TRACES]
         for axis in document["suite"]["margins"]:
             caption = _winners([row for row in margins if row.name.startswith(axis)], [name for name, *_ in styles])
-            plots.append(_curve(place, laws, axis, document["suite"]["tracks"], caption))
+            of_robot.append(_curve(place, laws, axis, document["suite"]["tracks"], caption))
+        for plot in of_robot:
+            x_label, y_label = (in_units_of(document, robot, label) for label in (plot.x_label, plot.y_label))
+            plots.append(replace(plot, x_label=x_label, y_label=y_label))
     return [plot for plot in plots if not plot.is_empty]
 
 

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from dataclasses import replace as replaced
 from pathlib import Path
 from typing import Any
 
 from fjr_core.errors import ParameterError
 from fjr_core.extensions.law_registry import law_kind
 from fjr_core.files.text_file import write_text
+from fjr_core.model.joints import PRISMATIC, REVOLUTE, in_units
 from fjr_msgs_py.console.output import DASH, number, percent, plural
 
 from .suite import NOMINAL, Suite
@@ -133,7 +135,17 @@ OF_A_RUN = (
 
 def rows(document: dict[str, Any]) -> list[Row]:
     """Return all rows of a comparison (`document`), robot by robot: drawn plants, margins, errors, nominal run."""
-    return [row for robot in document["robots"] for row in _rows(document, robot)]
+    found = []
+    for robot in document["robots"]:
+        for row in _rows(document, robot):
+            values = (replaced(value, words=in_units_of(document, robot, value.words)) for value in row.values)
+            found.append(replaced(row, name=in_units_of(document, robot, row.name), values=tuple(values)))
+    return found
+
+
+def in_units_of(document: dict[str, Any], robot: str, text: str) -> str:
+    """Return a text, which has the units of a revolute joint, with those of the joints of a robot."""
+    return in_units(text, (PRISMATIC if slides else REVOLUTE for slides in document["robots"][robot]["prismatic"]))
 
 
 def table_rows(document: dict[str, Any]) -> list[Row]:
@@ -214,7 +226,7 @@ def cells(document: dict[str, Any]) -> list[list[str]]:
     for robot in document["robots"]:
         found.append([robot, *[""] * len(names)])
         for row in (row for row in shown if row.robot == robot):
-            what = "RMS error [mrad]" if row.kind == "errors" else row.name
+            what = in_units_of(document, robot, "RMS error [mrad]") if row.kind == "errors" else row.name
             found.append([what, *(value.words for value in row.values)])
     return found
 

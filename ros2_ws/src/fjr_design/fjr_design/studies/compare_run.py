@@ -170,6 +170,7 @@ def work(job: Job, number: int = 0) -> Values:
     return {
         "robot": {
             "joints": list(first.joints),
+            "prismatic": [unit.position == "m" for unit in first.robot.units],
             "sample_period_s": first.sample_period,
             "references": {
                 label: {"motion_rad": each.motion, "torque_nm": each.torque.tolist()} for label, each in demands.items()

@@ -58,7 +58,8 @@ OF_SWEEP: Mapping[str, Reader] = {
     "success": subsection(dict.fromkeys(OUTCOMES, number)),
     "runs": between(1, MOST_RUNS, whole),
     "seed": between(0, 2**64 - 1, whole),
-    **dict.fromkeys(("duration", "settle_after", "band", "lost"), number),
+    **dict.fromkeys(("duration", "settle_after"), number),
+    **dict.fromkeys(("band", "lost"), lambda _, value: value),  # of each joint: ClosedLoop checks them
 }
 KEYS: Mapping[str, Reader] = {
     "scenario": string,
@@ -95,8 +96,9 @@ class Sweep(Study):
     """Sweep of `runs` runs of `duration` [s] of a scenario, given as its self-contained text.
 
     vary: distributions or fixed values by field of Draws. posterior: plain values of an identification from which the
-    plants are drawn in addition. seed: of all random numbers. settle_after [s], band, lost [rad]: see ClosedLoop.
-    success: largest value of an outcome, at every joint, of a successful stable run. Raises ParameterError.
+    plants are drawn in addition. seed: of all random numbers. settle_after [s], band, lost [rad], one number or one for
+    each joint: see ClosedLoop. success: largest value of an outcome, at every joint, of a successful stable run.
+    Raises ParameterError.
     """
 
     name: str
@@ -106,8 +108,8 @@ class Sweep(Study):
     duration: float = 5.0
     seed: int = 0
     settle_after: float = 1.0
-    band: float = 0.01
-    lost: float = float(np.pi / 2)
+    band: float | Sequence[float] | None = None
+    lost: float | Sequence[float] | None = None
     success: Mapping[str, float] = field(default_factory=dict)
     posterior: Mapping[str, Any] | None = None
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fjr_core.files.text_file import write_text
+from fjr_core.model.joints import joined
 from fjr_core.numerics.checks import Array
 from fjr_monitor.report import html
 from fjr_monitor.report.html import Line, Plot
@@ -138,6 +139,7 @@ def headline(sweep: Sweep, summary: Summary) -> str:
 
 def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path) -> None:
     """Write the page as one self-contained file; its sentences are in the template."""
+    sizes = zip(np.asarray(sweep.loop.lost), sweep.scenario.robot.units, strict=True)
     html.write_page(
         path,
         "sweep.html",
@@ -148,6 +150,7 @@ def write_page(sweep: Sweep, summary: Summary, plots: Sequence[Plot], path: Path
         outcomes=OUTCOMES,
         shown=partial(shown, sweep=sweep),
         unit_of=partial(unit_of, sweep),
+        lost=joined(f"{size:.3g} {unit.position}" for size, unit in sizes),
         fixed=[f"{name} is {one.as_yaml}" for name, one in sweep.vary.items() if one.kind == FIXED],
         json=finite(asdict(summary)),
     )
