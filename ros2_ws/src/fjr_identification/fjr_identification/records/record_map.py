@@ -48,6 +48,7 @@ BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, lis
 
 PARQUET = ".parquet"
 HEADER_LINES = 1000  # empty lines and comments before the header, at most
+SLOWEST = 0.1  # s; period of no controller of joints: 1 or 0.5 are milliseconds
 FILL_IN = "FILL_IN"
 TIME, POSITION = "time", "position"
 UNIT = {
@@ -155,8 +156,9 @@ def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
 def _period(prefix: str, given: Mapping[Any, Any]) -> float:
     """Return the period of the controller [s], inf if it is not given."""
     value = given.get(HELD, math.inf)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-        raise ParameterError(f"{prefix}{HELD} is {value!r}; expected seconds above 0")
+    is_period = isinstance(value, (int, float)) and not isinstance(value, bool) and 0 < value < SLOWEST
+    if HELD in given and not is_period:
+        raise ParameterError(f"{prefix}{HELD} is {value!r}; expected seconds above 0 and below {SLOWEST:g}")
     return float(value)
 
 
