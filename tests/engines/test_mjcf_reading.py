@@ -117,11 +117,40 @@ def test_damping_and_friction_of_a_joint_are_said_not_to_be_read(tmp_path: Path)
         assert sum("<dynamics> is not read: enter damping as motor_damping" in note for note in notes) == count
 
 
+FEEDBACK = "feedback of actuators (position, velocity, muscles)"
+
+
+def actuator(element: str) -> str:
+    return f"<actuator>{element}</actuator>"
+
+
 ACTING = {
     "a spring of a joint": ("stiffness of joints", "two", 'stiffness="5" springref="10" axis', ""),
     "one that hardens only": ("stiffness of joints", "two", 'stiffness="0 3" axis', ""),
     "damping that grows": ("damping of joints that is not linear", "two", 'damping="0 2" axis', ""),
     "gravity that is compensated": ("gravcomp of bodies", "two", "axis", ""),
+    "a position servo": (FEEDBACK, "two", "axis", actuator('<position joint="two" kp="9"/>')),
+    "a velocity servo": (FEEDBACK, "two", "axis", actuator('<velocity joint="two" kv="9"/>')),
+    "a servo whose set point is integrated": (
+        f"dynamics of actuators (filters, integrators, muscles), {FEEDBACK}",
+        "two",
+        "axis",
+        actuator('<intvelocity joint="two" kp="9"/>'),
+    ),
+    "a controller of a plugin": (
+        "plugins",
+        "two",
+        "axis",
+        '<extension><plugin plugin="mujoco.pid"><instance name="pid"><config key="kp" value="9"/></instance></plugin>'
+        "</extension>" + actuator('<plugin joint="two" plugin="mujoco.pid" instance="pid"/>'),
+    ),
+    "an elastic strip between the base and a link": (
+        "deformable bodies (flex)",
+        "two",
+        "axis",
+        '<deformable><flex name="strip" dim="1" body="world b" vertex="0.3 0 0 0.1 0 0.1" element="0 1" radius="0.01">'
+        '<contact contype="0" conaffinity="0"/><edge stiffness="50" damping="2"/></flex></deformable>',
+    ),
     "air": ("drag (density, viscosity)", "two", "axis", '<option density="500" viscosity="0.3"/>'),
 }
 

@@ -153,8 +153,9 @@ def _placed(tree: UrdfTree, link: str, joints: Sequence[str], locked: Mapping[st
 
 def _add_geom(body: mujoco.MjsBody, shape: Mapping[str, Any], place: Array) -> None:
     """Add a shape of fjr_monitor.scene, whose link has this place (4, 4) in the body, as a geom that is only seen."""
-    kind, size = shape["kind"], shape.get("size", ())
-    geom = body.add_geom(contype=0, conaffinity=0, group=LOOKS, rgba=_rgba(shape["colour"]))
+    kind, size, colour = shape["kind"], shape.get("size", ()), shape["colour"]
+    rgba = GREY if colour is None else (*(byte / 255 for byte in bytes.fromhex(colour[1:])), 1.0)  # of #rrggbb
+    geom = body.add_geom(contype=0, conaffinity=0, group=LOOKS, rgba=rgba)
     if kind in ("capsule", "hub"):  # from the origin of the link; across it
         geom.type, start = (GEOMS.mjGEOM_CAPSULE, 0.0) if kind == "capsule" else (GEOMS.mjGEOM_CYLINDER, -0.5)
         ends = np.outer([start, start + 1.0], shape["to"]) @ place[:3, :3].T + place[:3, 3]
@@ -170,11 +171,6 @@ def _add_geom(body: mujoco.MjsBody, shape: Mapping[str, Any], place: Array) -> N
         geom.type, geom.size = GEOMS.mjGEOM_SPHERE, [size[0], 0.0, 0.0]
     else:
         geom.type, geom.size = GEOMS.mjGEOM_CYLINDER, [size[0], size[1] / 2, 0.0]
-
-
-def _rgba(colour: str | None) -> tuple[float, ...]:
-    """Return the numbers of a colour #rrggbb."""
-    return GREY if colour is None else (*(byte / 255 for byte in bytes.fromhex(colour[1:])), 1.0)
 
 
 def _text(spec: mujoco.MjSpec) -> str:

@@ -32,7 +32,10 @@ UNREAD = {
     "stiffness of joints": ("jnt_stiffness", "jnt_stiffnesspoly"),
     "damping of joints that is not linear": ("dof_dampingpoly",),
     "damping of actuators": ("actuator_damping", "actuator_dampingpoly"),
+    "dynamics of actuators (filters, integrators, muscles)": ("actuator_dyntype",),
+    "feedback of actuators (position, velocity, muscles)": ("actuator_gaintype", "actuator_biastype"),
     "gravcomp of bodies": ("body_gravcomp",),
+    "deformable bodies (flex)": ("nflex",),
     "drag (density, viscosity)": ("opt.density", "opt.viscosity"),
 }
 """What moves the arm in MuJoCo, but neither URDF nor joint data hold, by fields of its model."""
@@ -65,6 +68,7 @@ def read_mjcf(file: Path, folder: Path) -> tuple[str, dict[str, Any]]:
         "gravity": [0.0] * 3 if weightless else model.opt.gravity.tolist(),
     }
     unread = [what for what, names in UNREAD.items() if any(np.any(attrgetter(name)(model)) for name in names)]
+    unread += ["plugins"] if np.any(np.append(model.body_plugin, model.actuator_plugin) >= 0) else []  # -1: none
     unread += [f"armature of {name} beside that of its rotor" for name in springs if model.joint(name).armature]
     known["notes"] = [f"not read, though they act in MuJoCo: {', '.join(unread)}"] if unread else []
     meshes = [path_from(folder, Path(spec.modelfiledir, spec.meshdir, each.file)) for each in spec.meshes]
