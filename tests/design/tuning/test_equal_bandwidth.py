@@ -21,7 +21,7 @@ from fjr_core.law.gains import FASTEST_RATE, two_scale_gains
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.linearized import rest_position, slope_at_rest
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.model.closed_form_arms import Rod, urdf_of_rods
+from fjr_core.model.planar_arms import Rod, urdf_of_rods
 from fjr_design.baselines import feedback_linearisation
 from fjr_design.batch import ClosedLoop
 from fjr_design.studies.trial import Trial, motion_demand

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import ParameterError
+from ..model.planar_arms import PLANAR_TWO_LINK, SINGLE_LINK
 from ..numerics.checks import Array, joint_names
 from ..numerics.parameter_field import declared
 from ..simulation.imperfections import StatedErrors
@@ -25,16 +26,13 @@ FILE = Parameter("robot.file", "", "Parameter file of the robot: a path or packa
 
 
 MODELS: dict[str, dict[str, Any]] = {
-    "single_link": {"stiffness": 31.0, "link_inertia": 0.031, "gravity_torque": 0.8}
-    | {"motor_inertia": 0.004, "link_damping": 0.2, "motor_damping": 0.007, "input_gain": 1.0},
-    "planar_two_link": {"stiffness": (40.0, 25.0), "link_mass": (1.2, 0.8), "link_length": (0.3, 0.25)}
-    | {"link_com": (0.15, 0.12), "link_inertia": (0.010, 0.005), "gravity": 9.81}
-    | {"motor_inertia": (0.02, 0.01), "link_damping": (0.2, 0.1), "motor_damping": (0.02, 0.01), "input_gain": 1.0},
+    "single_link": SINGLE_LINK,
+    "planar_two_link": PLANAR_TWO_LINK,
     "urdf": dict.fromkeys(("urdf", "joints", "stiffness", "motor_inertia"), REQUIRED)
     | {"gear_ratio": 1.0, "link_damping": 0.0, "motor_damping": 0.0, "input_gain": 1.0}
     | {"gravity_vector": (0.0, 0.0, -9.81), "locked_joints": ("",), "locked_positions": (0.0,)},
 }
-"""Arguments of the function that builds each model, with its defaults: those of model.closed_form_arms, urdf.robot."""
+"""Arguments of the function that builds each model, with their defaults."""
 _SIZES = {"single_link": 1, "planar_two_link": 2}  # other models: as many joints as `joints` lists
 MODEL = Parameter("robot.model", "single_link", "Robot model", choices=tuple(MODELS))
 
@@ -172,20 +170,15 @@ def robot(values: Values) -> Robot:
         )
 
     def built() -> Robot:
-        straight = _built(model, **arguments)
+        if model == "urdf":
+            straight = _from_urdf(**arguments)
+        else:
+            from ..model import closed_form_arms
+
+            straight = getattr(closed_form_arms, model)(**arguments)
         return replace(straight, cubic=cubic, torsion=np.stack(points)) if cubic.any() or np.any(points) else straight
 
     return named(lambda symbol: _SYMBOLS.get(symbol, fallback), built)
-
-
-def _built(model: str, **arguments: Any) -> Robot:
-    """Call the function that builds a model."""
-    if model == "urdf":
-        return _from_urdf(**arguments)
-    from ..model import closed_form_arms
-
-    built: Robot = getattr(closed_form_arms, model)(**arguments)
-    return built
 
 
 def _from_urdf(
@@ -247,7 +240,7 @@ def description(values: Values) -> str:
     """
     if values[MODEL.name] == "urdf":
         return str(robot_file.inlined(values)["robot.urdf"])
-    from ..model.closed_form_arms import Rod, hanging_rod, urdf_of_rods
+    from ..model.planar_arms import Rod, hanging_rod, urdf_of_rods
 
     if values[MODEL.name] == "single_link":
         inertia, load = (float(vector(values, f"robot.{each}", 1)[0]) for each in ("link_inertia", "gravity_torque"))

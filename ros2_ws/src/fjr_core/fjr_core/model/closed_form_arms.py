@@ -1,13 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build robots with closed-form dynamics, the joint of the paper and a planar two-link arm, and write their URDFs."""
+"""Build robots with closed-form dynamics: the joint of the paper and a planar two-link arm."""
 
 from __future__ import annotations
-
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from html import escape  # that of xml.sax imports an HTTP client
-from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
@@ -15,23 +9,19 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError
 from ..numerics import checks
+from .planar_arms import PLANAR_TWO_LINK, SINGLE_LINK, STANDARD_GRAVITY
 from .rigid_arm import ArmDynamics, Body, EndEffector, closed_form
 from .robot import Robot
 
-STANDARD_GRAVITY = 9.81  # m/s^2, acts on the payload of a model without gravity parameter
-SMALLEST_LOAD = 1e-9  # N m, smallest gravity torque that a URDF models
-WEIGHTLESS_LENGTH = 0.3  # m, of a single link without gravity
-COLOURS = {"light": "0.85 0.85 0.88 1", "dark": "0.30 0.33 0.38 1"}
-
 
 def single_link(
-    stiffness: ArrayLike = 31.0,
-    link_inertia: ArrayLike = 0.031,
-    gravity_torque: ArrayLike = 0.8,
-    motor_inertia: ArrayLike = 0.004,
-    link_damping: ArrayLike = 0.2,
-    motor_damping: ArrayLike = 0.007,
-    input_gain: ArrayLike = 1.0,
+    stiffness: ArrayLike = SINGLE_LINK["stiffness"],
+    link_inertia: ArrayLike = SINGLE_LINK["link_inertia"],
+    gravity_torque: ArrayLike = SINGLE_LINK["gravity_torque"],
+    motor_inertia: ArrayLike = SINGLE_LINK["motor_inertia"],
+    link_damping: ArrayLike = SINGLE_LINK["link_damping"],
+    motor_damping: ArrayLike = SINGLE_LINK["motor_damping"],
+    input_gain: ArrayLike = SINGLE_LINK["input_gain"],
 ) -> Robot:
     """Return the single-link robot of the paper, Table 1; the link hangs straight down at q_l = 0.
 
@@ -54,16 +44,16 @@ def single_link(
 
 
 def planar_two_link(
-    stiffness: ArrayLike = (40.0, 25.0),
-    link_mass: ArrayLike = (1.2, 0.8),
-    link_length: ArrayLike = (0.3, 0.25),
-    link_com: ArrayLike = (0.15, 0.12),
-    link_inertia: ArrayLike = (0.010, 0.005),
-    gravity: ArrayLike = 9.81,
-    motor_inertia: ArrayLike = (0.02, 0.01),
-    link_damping: ArrayLike = (0.2, 0.1),
-    motor_damping: ArrayLike = (0.02, 0.01),
-    input_gain: ArrayLike = 1.0,
+    stiffness: ArrayLike = PLANAR_TWO_LINK["stiffness"],
+    link_mass: ArrayLike = PLANAR_TWO_LINK["link_mass"],
+    link_length: ArrayLike = PLANAR_TWO_LINK["link_length"],
+    link_com: ArrayLike = PLANAR_TWO_LINK["link_com"],
+    link_inertia: ArrayLike = PLANAR_TWO_LINK["link_inertia"],
+    gravity: ArrayLike = PLANAR_TWO_LINK["gravity"],
+    motor_inertia: ArrayLike = PLANAR_TWO_LINK["motor_inertia"],
+    link_damping: ArrayLike = PLANAR_TWO_LINK["link_damping"],
+    motor_damping: ArrayLike = PLANAR_TWO_LINK["motor_damping"],
+    input_gain: ArrayLike = PLANAR_TWO_LINK["input_gain"],
 ) -> Robot:
     """Return a two-link arm in a vertical plane with relative joint angles; it hangs straight down at q_l = 0.
 
@@ -141,66 +131,3 @@ def _planar_body(joint: float | None, mass: float, com: float, inertia: float) -
 def _along(angle: ca.SX) -> ca.SX:
     """Return the direction of a link at an angle [rad] from straight down; x forward, z up."""
     return ca.vertcat(ca.sin(angle), 0, -ca.cos(angle))
-
-
-@dataclass(frozen=True)
-class Rod:
-    """A link of an arm in a vertical plane: mass [kg], length and centre of mass [m] along -z from its joint.
-
-    inertia [kg m^2] about the centre of mass, in the plane. A negative length points up.
-    """
-
-    mass: float
-    length: float
-    com: float
-    inertia: float
-
-
-def hanging_rod(inertia: float, load: float) -> Rod:
-    """Return a uniform rod with inertia [kg m^2] about its joint and m g com = load [N m]: inertia = 4/3 m com^2.
-
-    For a zero load the centre of mass is at the joint.
-    """
-    if abs(load) < SMALLEST_LOAD:
-        return Rod(12 * inertia / WEIGHTLESS_LENGTH**2, WEIGHTLESS_LENGTH, 0.0, inertia)
-    com = 0.75 * inertia * STANDARD_GRAVITY / load
-    return Rod(abs(load) / (STANDARD_GRAVITY * abs(com)), 2 * com, com, inertia / 4)
-
-
-def urdf_of_rods(name: str, joints: Sequence[str], rods: Sequence[Rod]) -> str:
-    """Return the URDF text of a chain of rods in a vertical plane, one for each joint.
-
-    Each joint axis is -y, so that a hanging link moves towards x for an increasing joint angle.
-    """
-    colours = (f'<material name="{each}"><color rgba="{rgba}"/></material>' for each, rgba in COLOURS.items())
-    parts = [*colours, f'<link name="base_link">{_cylinder(0.02, 0.08, 0.0, "dark", across=True)}</link>']
-    parent, height = "base_link", 0.0
-    for i, (joint, rod) in enumerate(zip(joints, rods, strict=True), start=1):
-        parts.append(
-            f'<joint name="{escape(joint)}" type="continuous"><parent link="{parent}"/><child link="link{i}"/>'
-            f'<origin xyz="0 0 {height!r}"/><axis xyz="0 -1 0"/></joint>'
-            f'<link name="link{i}">{_inside(rod)}</link>'
-        )
-        parent, height = f"link{i}", -rod.length
-    robot = ElementTree.fromstring(f'<robot name="{escape(name)}">{"".join(parts)}</robot>')
-    ElementTree.indent(robot)
-    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
-
-
-def _inside(rod: Rod) -> str:
-    """Return inertia and looks of a rod: a thin cylinder along it, and one across at its joint."""
-    radius = min(0.02, abs(rod.length) / 8)
-    across, along = rod.inertia, min(rod.inertia, rod.mass * radius**2 / 2)
-    return (
-        f'<inertial><origin xyz="0 0 {-rod.com!r}"/><mass value="{rod.mass!r}"/>'
-        f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{along!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
-        + _cylinder(radius, abs(rod.length), -rod.length / 2, "light")
-        + _cylinder(1.4 * radius, 3 * radius, 0.0, "dark", across=True)
-    )
-
-
-def _cylinder(radius: float, length: float, z: float, colour: str, across: bool = False) -> str:
-    return (
-        f'<visual><origin xyz="0 0 {z!r}" rpy="{math.pi / 2 if across else 0.0!r} 0 0"/><geometry>'
-        f'<cylinder radius="{radius!r}" length="{length!r}"/></geometry><material name="{colour}"/></visual>'
-    )
