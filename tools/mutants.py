@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES, LOG = ROOT / "ros2_ws" / "src", ROOT / "build" / "mutants.tsv"
 LONGEST, SIZE, SEED = 300, 300, 25  # s of one mutant; all take an hour or more
 STEP = " ".join(f"core/runtime/test_{name}.py" for name in ("step", "reference", "certificate", "measurement"))
-STEP += " tracking"
+STEP += " core/monitoring tracking"
 TESTS = {
     "model/*.py": "core/model core/law core/urdf core/simulation core/robust core/config design/batch "
     "engines/test_engines.py nodes/test_simulated_robot.py",
@@ -37,7 +37,8 @@ TESTS = {
     "monitoring/certificate.py": "core/monitoring core/runtime/test_certificate.py",
     "runtime/control_step.py": STEP,
     "runtime/[!w]*.c": STEP,
-    "runtime/wiring*.c": "core/runtime/test_step.py system/test_wiring_faults.py nodes/test_wiring.py",
+    "runtime/wiring*.c": "core/runtime/test_step.py system/test_wiring_faults.py nodes/test_wiring.py "
+    "tracking/test_dead_sources.py",
 }
 SAME = re.compile(r'""".*?"""|"[^"\n]*"|\'[^\'\n]*\'|/\*.*?\*/|^ *[@#](?!define)[^\n]*|(?<= )#[^\n]*', re.S | re.M)
 SWAPPED = {"+": "-", "*": "/", "<": "<=", ">": ">=", "==": "!=", "and": "or", "&&": "||", "+=": "-=", "is": "is not"}

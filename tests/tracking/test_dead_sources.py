@@ -17,6 +17,7 @@ from fjr_core.motions.point_to_point import Hold
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import State
 from fjr_core.runtime.library import constant
+from fjr_core.runtime.measurement_model import Measurement
 from tracking.tracked import LAW, MS, SECOND, STILL, TWO, Loop, bare_sample, sample, settings, tracker_at
 
 UNSEEN, UNCHANGED, COUNTED = constant("UNSEEN"), int(constant("UNCHANGED")), constant("COUNTED")
@@ -156,6 +157,19 @@ def test_a_driver_that_freezes_at_rest_stops_the_arm_before_it_moves_faster_than
         loop.tracker.resume()
         loop.run(1.0)
         assert loop.tracker.state is State.STOPPED, "the driver is still frozen"
+
+
+def test_a_gear_of_the_motor_changes_no_instant_of_a_stop_without_motion() -> None:
+    """The spring balances most of the effort for some time, so that its torque counts."""
+    stops = []
+    for ratio in (1.0, -100.0):
+        measured, swing = Measurement(1, gear_ratio=ratio), fjr.Sine(0.3, 2.0, offset=0.5)
+        tracker, k = ControlStep(LAW, swing, settings(), measurement=measured), 0
+        while not tracker.reason and k < 200:
+            tracker.command(sample(FIRST + k * MS, 0.5, 0.55 * ratio, 0.0), FIRST + k * MS)
+            k += 1
+        stops.append(k * MS)
+    assert UNCHANGED < stops[0] == stops[1] < 200 * MS
 
 
 def test_a_stop_at_the_start_names_the_network_as_commands_may_not_arrive() -> None:

@@ -107,6 +107,7 @@ def test_a_brake_decelerates_no_more_than_the_way_to_a_position_limit_asks(room:
     times = np.linspace(0.0, before, 2000)
     jets = np.array([tracker.jets_at(SECOND + round(t * 1e9)) for t in times])[:, :, 0]
     way = min(PEAK * speed**2 / (3 * usual), max(ROOM_SHARE * room, speed**2 / (2 * most)))
+    assert before == pytest.approx(3 * way / speed)
     np.testing.assert_allclose(jets[0, :3], [1.0, speed, 0.0], atol=1e-12)
     np.testing.assert_allclose(jets[-1], [1.0 + way, 0, 0, 0, 0], atol=1e-3)
     assert way <= room

@@ -72,6 +72,7 @@ class Library(NamedTuple):
     def segment(self, jets0: np.ndarray, jets1: np.ndarray, t0: float, t1: float) -> Any | None:
         """Return a struct fjr_segment, or None if it is not finite."""
         made = self.ffi.new("struct fjr_segment *")
+        self.ffi.buffer(made)[:] = b"\xff" * self.ffi.sizeof(made[0])  # of an earlier segment, or NaN
         return made if self.lib.segment(made, self._doubles(jets0), self._doubles(jets1), t0, t1) else None
 
     def along(self, segment: Any, t: Any) -> np.ndarray:
