@@ -29,7 +29,7 @@ from fjr_msgs_py.messages.joint_states import SECOND, MessageError, deserialised
 from fjr_msgs_py.messages.trajectories import TrajectoryPoints, read_trajectory
 from fjr_msgs_py.node.scheduling import step_back
 
-ATTEMPTS = 5
+ATTEMPTS = 5  # to plan from a reference that changes meanwhile
 JOIN_TIME, JOIN_FACTOR, JOIN_LONGEST = 20_000_000, 10, 2_000_000_000  # ns, per ns of delay, ns; see with_transition
 LONG = 1 << 16  # bytes, of about 200 points of seven joints
 SWITCH = 1e-4  # s; after which the planning thread yields to the command loop

@@ -49,7 +49,7 @@ FRICTION = {
 }
 MOTION = ("amplitude", "frequency", "offset", "phase")
 STABLE_STEP = 2.0  # friction rate times inner step; Runge-Kutta 4 is stable below 2.78
-MOST_STEPS = 200
+MOST_STEPS = 200  # of the integrator in a sample
 MARGIN = 2.0  # of the steps, for links that are lighter elsewhere than at zero
 
 

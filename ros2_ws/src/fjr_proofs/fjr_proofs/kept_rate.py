@@ -29,7 +29,7 @@ from .rate import proof_of_rate, rate_certificate
 from .verification.inertia_bounds import is_provable
 
 PACKAGE = Path(__file__).parent
-SAMPLES = 512
+SAMPLES = 512  # configurations
 DEFAULT_RADIUS = 0.1  # rad or m, of the tube around the reference if the tracking error has no limit
 
 

@@ -20,7 +20,7 @@ GOAL = 0.998
 """Proven number relative to the one that is attained, at which the search of a proof ends."""
 MOST_BOXES = 4000
 """Boxes after which the search of a proof ends."""
-PARTS = 32
+PARTS = 32  # intervals of time of a motion, each with a box
 ROUNDING = 1e-9
 """Length [rad, m] by which boxes are larger, as bounds of the motion are exact up to rounding."""
 

@@ -19,7 +19,7 @@ from ..numerics.checks import Array, freeze
 from ..numerics.one_line import joints, span
 from .reference import JETS, ROWS, MotionBounds, motion_bounds_on
 
-DEGREE = 2 * JETS - 1
+DEGREE = 2 * JETS - 1  # of a segment, which the jets at both ends determine
 SAMPLES = 24  # per segment, for the search of extrema
 
 comb = np.vectorize(lambda n, k: math.comb(int(n), int(k)), otypes=[float])
@@ -33,7 +33,7 @@ _HIGHER = np.rint(np.linalg.inv(_BINOMIALS[:, JETS:]))
 BEZIER = comb(_POWERS[:, None], _POWERS) / comb(DEGREE, _POWERS)
 _HALVED = BEZIER * 0.5**_POWERS
 _SLOPES = factorial(_POWERS[:, None]) / factorial(np.maximum(_POWERS[:, None] - _ORDERS, 0))
-JERK = 3
+JERK = 3  # order of the derivative whose mean square is least
 NEWTON_STEPS = 2
 """The second step corrects rounding errors of the first: the condition number is at most 1e8 for segment lengths that
 differ by a factor of a million."""

@@ -19,7 +19,7 @@ from .reference import ROWS, MotionBounds, Reference, motion_bounds_on, motion_f
 
 MOST_CYCLES = 1000
 """Cycles of the fastest sine in a common period of several, up to which their bounds are exact."""
-POINTS_PER_CYCLE = 8
+POINTS_PER_CYCLE = 8  # of the highest frequency, between which extrema are searched
 _ROUNDING = 1e-9  # relative to the highest frequency
 
 _SIDES = np.array([0, 1, 0, 1, 0])  # sine (0) or cosine (1) in each of the five jets

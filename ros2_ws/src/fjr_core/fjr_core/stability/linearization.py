@@ -25,7 +25,7 @@ OTHER_LAWS = 64  # configurations at which a law without a closed form is checke
 INTEGRAL_GAINS = ("integral_gain", "motor_integral_gain")
 FEW_FOR_INTEGRAL = 3  # sampled configurations at which the loop with integral action is evaluated
 BISECTIONS = 10  # of the logarithm of the factor on the integral gains, between LEAST_FACTOR and 1
-LEAST_FACTOR = 1e-4
+LEAST_FACTOR = 1e-4  # on the integral gains
 
 
 def linearize(

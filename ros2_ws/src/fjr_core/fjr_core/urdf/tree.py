@@ -25,7 +25,7 @@ MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed", "floating", "planar")
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 NO_LIMIT = (-np.inf, np.inf, np.inf, np.inf)
-DEEPEST, MOST_JOINTS = 100, 500
+DEEPEST, MOST_JOINTS = 100, 500  # levels of elements; joints of any kind
 SMALLEST_INERTIA = 1e-15  # kg m^2; below that a negative principal inertia is rounding
 LARGEST_NUMBER = 1e30  # sums and squares of larger numbers may overflow
 

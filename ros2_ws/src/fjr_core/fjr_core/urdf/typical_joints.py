@@ -27,8 +27,8 @@ LARGEST_DEFLECTION = np.deg2rad(1.0), 1e-3  # rad, m; delta of revolute and pris
 FASTEST_LINK = 400.0  # rad/s, omega_l: the least inertia m on its spring, the motor at rest
 MOTOR_FREQUENCY = 90.0  # rad/s, omega_m: the motor on its spring, the link at rest
 ACCELERATION = 10.0  # rad/s^2, m/s^2
-CONFIGURATIONS = 128
-DIGITS = 2
+CONFIGURATIONS = 128  # over which inertia and weight are taken
+DIGITS = 2  # of a guess
 THINNEST = 1e-3  # m; least radius of gyration of real links about their joint; those of public URDFs have 13 mm or more
 
 

@@ -42,8 +42,8 @@ from fjr_core.numerics.checks import Array
 from .baseline import Baseline, damping, effort, metric
 from .pd_gravity import gravity_hessians, motor_set_point
 
-MOST_ITERATIONS = 400
-ROUNDING = 2.0**-53
+MOST_ITERATIONS = 400  # of the link equilibrium, a contraction
+ROUNDING = 2.0**-53  # relative, of a double
 
 
 @lru_cache(maxsize=8)

@@ -22,7 +22,7 @@ from fjr_core.numerics.fused_code import fused
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-LONGEST_PREFIX = 40
+LONGEST_PREFIX = 40  # characters
 _TARGETS = (
     "all all_build clean depend edit_cache help install list_install_components package package_source preinstall "
     "rebuild_cache run_tests test zero_check"
@@ -34,7 +34,7 @@ _HEADERS = (
 )
 RESERVED = frozenset(f"{_TARGETS} {_HEADERS} replay case c m".split())
 """Names, in lower case, that collide with <prefix>.h, <prefix>.c or the CMake target <prefix>."""
-ON_A_LINE = 6
+ON_A_LINE = 6  # numbers of a table
 
 _HEAD = """\
 /* Made by CasADi {version}, https://web.casadi.org. All functions have one signature: some arguments are unused.

@@ -33,7 +33,7 @@ from fjr_core.runtime.reference import ReferenceTable, reference_table
 
 from .c_code import casadi_code, checked_prefix, filled, number, numbers, work_sizes
 
-SAMPLES = 200
+SAMPLES = 200  # of the simulation that the exported code repeats
 PREFIX = "fjr"  # prefix of all names of the step in C
 CALLED = {"arg": len(ARGUMENTS), "res": len(OUTPUTS), "iw": 1, "w": 1}
 """Least sizes of the work space: arguments of a SampledLaw, results of a certificate, which the step always passes."""

@@ -35,7 +35,7 @@ LARGEST_AMPLITUDE = 0.2, 0.05  # rad, m; of revolute and prismatic joints
 RANGE, VELOCITY, EFFORT = 0.1, 0.25, 0.8  # largest fraction of the range, the velocity limit and the effort limit
 MARGIN = 0.3  # of the range, between a pose and the limits
 EASY_WEIGHT, LARGEST_WEIGHT = 0.5, 0.75  # of the effort limit
-POSES, INSTANTS = 256, 16
+POSES, INSTANTS = 256, 16  # configurations of the arm; instants of a cycle
 START_ERROR, START_EFFORT = 0.25, 0.6  # of the amplitude; of the effort limit
 HALVINGS = 8, 12  # of the amplitude; of the start error
 

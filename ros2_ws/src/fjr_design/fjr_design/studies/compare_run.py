@@ -48,7 +48,7 @@ from .sweep import Sweep
 from .trial import MotionDemand, Trial, directions, fields_of, motion_demand
 from .tune import FEW, GOAL, SIZE, Figures, Goal, Point, Range, TuningStudy, quantile, search, with_better_start
 
-TRACE_POINTS = 600
+TRACE_POINTS = 600  # of a line of the nominal run
 SETTLED = 0.02  # of the motion; band of the settling time
 TUNING = 0.8  # of the work on a law that is tuned to uncertainties
 OUTER = 0.95  # quantile that is reported beside the median

@@ -30,8 +30,8 @@ from ..batch.draws import PARAMETERS
 from .sections import number
 from .sweep import REACH, figures
 
-INSTANTS = 4096
-CONFIGURATIONS = 16
+INSTANTS = 4096  # of the reference
+CONFIGURATIONS = 16  # along it, whose inertia counts for friction
 HORIZON = 60.0  # s of the reference that are evaluated, at most
 STANDING = 1e-9  # rad; RMS of a reference at rest
 ELEMENT = 0.3  # of the stiffness of the spring, that of a Maxwell element beside it

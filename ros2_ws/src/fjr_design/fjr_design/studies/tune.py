@@ -43,7 +43,7 @@ OF_SCENARIO: Point = ()  # point that stands for the gains of the scenario, wher
 Range = tuple[int, int]
 FIRST_DEVIATION = 0.4  # of the logarithms of the factors: e^0.4 = 1.5
 WIDEST = float(np.log(50.0))  # of the logarithms of the factors
-FINALISTS = 6
+FINALISTS = 6  # candidates of the search that the selection compares
 
 
 @dataclass(frozen=True)

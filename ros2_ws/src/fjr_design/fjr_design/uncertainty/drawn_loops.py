@@ -23,7 +23,7 @@ from fjr_core.stability.linear_controller import Controller, Sensing, controller
 from fjr_core.stability.linearization import held_maps, map_of_held, on_plant, split
 from fjr_design.stability.sampled_loop import contracting
 
-CONFIDENCE = 0.99
+CONFIDENCE = 0.99  # one-sided
 MOST_MAPS = 512  # in memory at a time
 FIELDS = tuple(MATRICES)
 SCREENED, CLOSELY = 16, 8  # draws that choose the worst configurations, and how many these are

@@ -34,11 +34,11 @@ from .parameters import HARDENING, LAG, OF_LINKS, POSITION_TORQUE, RATIO, SMOOTH
 from .verdicts import Estimates, estimates_at, not_identifiable
 
 BLOCK = 1.0  # s; longer than the correlation of the errors
-FEWEST_BLOCKS = 4
+FEWEST_BLOCKS = 4  # of a record
 LEAST_ERROR = 1e-3  # of the deflection or the effort; no model is better
 MOVING = 2.0  # smoothing velocities; a slower motor may be at rest
 EXCESS = 1.2  # static friction over Coulomb friction, at the start
-MOST_ITERATIONS = 12
+MOST_ITERATIONS = 12  # of Gauss and Newton
 LARGEST_STEP = 1.0  # of the prior's width
 CONVERGED = 1e-3  # of the prior's width
 LEAST_DEFLECTION = 3.0  # of its noise

@@ -29,7 +29,7 @@ JITTER, LARGEST_JITTER = 0.02, 5.0  # sample periods; below it samples count as 
 SIGNALS = ("q_l", "q_m", "torque")
 LEAST_MOTION = 1e-4  # rad or m, peak to peak; a joint that moves less stands still
 WINDOW = 0.03  # s, of the filter
-ORDER = 4
+ORDER = 4  # of the polynomials of Savitzky and Golay's filter
 BAND, MARGIN = 0.99, 4.0  # share of the power of velocities below a frequency, and the cutoff relative to it
 CUTOFF = (8.0, 40.0)  # Hz; least and largest cutoff
 

@@ -35,7 +35,7 @@ FEWEST = 25  # samples that are compared of a segment
 SOFT = 1e-6  # damping of the first step
 SETTLED = 0.02  # decrease of the sum of squares, in units of the noise, that a step of an initial state is worth
 SHARE = 1e-4  # of the sum of squares: a smaller decrease is left to the next step of z
-MOST_SETTLING = 8
+MOST_SETTLING = 8  # steps of the initial state of a segment
 ROUGH = 1e-4  # rad, N m; noise that is assumed before residuals are known
 _pool = cache(ThreadPoolExecutor)  # which starts its threads once: a search evaluates a problem some hundred times
 

@@ -32,7 +32,7 @@ from .elastic_arm import packed
 from .multiple_shooting import SOFT, PredictedSegments, Problem, Segment, Whitening
 from .shooting import Shooting
 
-MOST_ITERATIONS = 30
+MOST_ITERATIONS = 30  # of Gauss and Newton
 HORIZONS = (16, 4, 1)  # shares of the segments that are compared first
 FEW = 24  # segments of the first descent
 NEAR, CONVERGED = 1.0, 0.1  # standard deviations from the minimum that the normal equations predict

@@ -44,7 +44,7 @@ from .multiple_shooting import RIDGE, NormalEquations, PredictedSegments
 from .optimise import bounded_step
 from .parameters import COULOMB, HARDENING, KINDS, LAG, LOAD, OF_LINKS, PAYLOAD, SMOOTHING, STATIC, TIMING
 
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # two-sided, of the intervals
 LAGS = 2
 """Segments over which scores are taken to be correlated, with the weights of Bartlett (W. Newey, K. West, 1987)."""
 SYSTEMATIC, TWO_SIDED = 0.4, 2.0
@@ -57,7 +57,7 @@ BLUNT = 0.6  # of its prior's width; a parameter whose standard deviation exceed
 STILL = 2e-3  # rad; a joint that moves less stands still
 WORSE = 1.1  # root mean square residual of some signal, relative to that of the most likely parameters
 LESS_LIKELY = 2.0  # of -log L, half the 95 % quantile of chi^2
-CORRELATED = 0.9
+CORRELATED = 0.9  # least coefficient of correlation that is named
 WITHOUT_LINK = {
     **dict.fromkeys(
         ("joint_stiffness", HARDENING, "link_damping", "link_coulomb_friction", "link_static_friction"),

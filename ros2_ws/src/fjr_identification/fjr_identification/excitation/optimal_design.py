@@ -28,18 +28,18 @@ from ..estimation.parameters import Prior
 from .elastic_motion import InformationModel, JointNoise, MotionEnvelope, elastic_motion, motion_function
 
 LONGEST_PERIOD = 10.0  # s
-HARMONICS = 10
+HARMONICS = 10  # of the series, at most
 BELOW_RESONANCE = 0.7  # highest frequency, as a fraction of the lowest spring resonance
 SAMPLES_PER_CYCLE = 25.0  # least samples of the loop per cycle of the highest frequency
 INSTANTS_PER_CYCLE = 4  # of the highest frequency, at which a motion is evaluated in the search
-FEWEST_INSTANTS = 256
-STARTS = 3
+FEWEST_INSTANTS = 256  # of a period
+STARTS = 3  # of the search, random
 PENALTIES, FINAL_PENALTY = (1e3, 1e4), 1e5  # weights of the excess in the search from each start, and from the best
 STEPS = 80  # of L-BFGS-B per weight
 ROUNDS = 3  # of the search from the best motion, with more emphasis on the joints whose stiffness gains least
 START = 0.1  # of the acceleration that random coefficients may ask for
 FINE = 8  # times as many instants when limits are checked
-HALVINGS = 40
+HALVINGS = 40  # of the interval of the factor that keeps the limits
 POSES = 64  # configurations whose mean link inertia counts
 FEWEST = 3  # harmonics with which sines and cosines can start at rest and still move
 EMPHASIS = 4.0

@@ -34,7 +34,7 @@ LOST = 0.01  # of the states; more that the recorder lost are noted
 CLOCKS = 500_000  # ns; delays to the receiver differ by less on one machine
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 NEAR = 1e-6  # rad, m; two references that are nearer are equal
-END = 2**63 - 1
+END = 2**63 - 1  # ns; after every stamp
 Places = NDArray[np.int32]
 """Rows of another topic that belong to k states; -1: none."""
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fjr_core.numerics.checks import Array
 
-HEADER = 4
+HEADER = 4  # bytes, of the encapsulation
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # CDR header of every message written here
 FIELDS = ("position", "velocity", "effort")
 _STAMP = slice(HEADER, HEADER + 8)  # bytes

@@ -35,7 +35,7 @@ RATE_SHARE = 0.9
 """The rate in the tube as a share of the rate near the reference: a smaller rate has a larger tube."""
 SMALLEST, LARGEST = 1e-6, 3.0
 """Link errors [rad, m] of the smallest start, and of those up to which starts grow by FACTOR."""
-FACTOR, BISECTIONS = 4.0, 4
+FACTOR, BISECTIONS = 4.0, 4  # ratio of two starts; bisections of its logarithm
 SMALL = 1e-6
 """Disturbance under which the bounds of a difference are sought; every size gives the same answer."""
 

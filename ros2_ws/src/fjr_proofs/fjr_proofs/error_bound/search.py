@@ -43,7 +43,7 @@ MOST_PARTS = {False: 128, True: 1024}
 SOLVABLE = 0.5
 """Gain of the loop that a factor of a part closes, up to which the part may have a tube."""
 HOPELESS = 8  # times as many parts, if all were as narrow as one without bounds, at which the division ends
-TINY = 1e-12
+TINY = 1e-12  # rad, or of a sum of effects: as good as zero
 TIGHT = 1.05  # ratio of a bound to that of the known response, below which a part is not divided
 WORTH = 0.99  # ratio of the bounds of halves to that of a part, up to which it is divided
 REMAINS = 2e-2  # of a deviation after the sums of the gains, which bound the rest

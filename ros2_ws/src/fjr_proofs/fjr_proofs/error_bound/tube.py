@@ -28,7 +28,7 @@ from .linear_loop import LinearLoop, linear_loop
 from .uncertain_robot import INVERSE
 
 STEPS = 5  # of Newton's method
-MOST_ROUNDS = 500
+MOST_ROUNDS = 500  # of the iteration to a fixed point
 DIVERGED = 50.0  # growth of the bounds at which the iteration ends
 MARGIN = 1 + 1e-3  # of the disturbance that is verified over the fixed point of the iteration
 CREDIBLE = 0.3  # rad; largest position of a tube whose constants are sampled

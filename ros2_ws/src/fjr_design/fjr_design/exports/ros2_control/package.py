@@ -44,8 +44,8 @@ SENSORS = {field: each for field, each in declared(SensorErrors).items() if fiel
 """Declarations of the parameters by field; their names are those of imperfections.* without the group."""
 EXPORTED = {each.name for each in (*DYNAMICS.values(), *SENSORS.values())} | {"state_delay", "command_delay", "seed"}
 """Names of the imperfections that the arm has."""
-SAMPLES = 400
-LONGEST_NAME = 60
+SAMPLES = 400  # of the simulation that the test of the package repeats
+LONGEST_NAME = 60  # characters
 CERTIFIED = ("V", "H", "dissipation", "dissipated", "u_law", "drive")
 """Outputs of the certificate's function that fjr_certify reads; the last, its gradient, would double the code."""
 
