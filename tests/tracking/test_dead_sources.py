@@ -11,6 +11,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import settings as tried
 from hypothesis import strategies as st
+from scipy.integrate import cumulative_trapezoid
 
 import fjr_core as fjr
 from fjr_core.motions.point_to_point import Hold
@@ -157,6 +158,20 @@ def test_a_driver_that_freezes_at_rest_stops_the_arm_before_it_moves_faster_than
         loop.tracker.resume()
         loop.run(1.0)
         assert loop.tracker.state is State.STOPPED, "the driver is still frozen"
+
+
+def test_a_motor_without_motion_stops_the_arm_once_the_effort_must_have_moved_it() -> None:
+    """It stood without effort. Friction is known after the first states; then the way is that of a free motor."""
+    robot, efforts = fjr.single_link(motor_inertia=1.0), [0.0]
+    tracker = ControlStep(fjr.TrackingLaw(robot, fjr.PAPER_GAINS), fjr.Sine(0.3, 2.0, offset=0.5), settings())
+    while not tracker.reason and len(efforts) < 500:
+        stamp = FIRST + len(efforts) * MS
+        efforts.append(float(tracker.command(sample(stamp, 0.5, 0.5), stamp).u[0]))
+    friction = constant("DRIVEN") * tracker.controller.wiring.constant[0]
+    acceleration = np.maximum(np.abs(efforts[int(constant("FEWEST")) - 1 : -1]) - friction, 0.0)
+    way = cumulative_trapezoid(cumulative_trapezoid(acceleration, dx=1e-3, initial=0.0), dx=1e-3, initial=0.0)
+    assert len(way) > 1.3 * UNCHANGED / MS
+    assert way[-1] == pytest.approx(UNSEEN, rel=0.1)
 
 
 def test_a_gear_of_the_motor_changes_no_instant_of_a_stop_without_motion() -> None:
