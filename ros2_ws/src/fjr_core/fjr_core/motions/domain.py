@@ -48,10 +48,7 @@ def tube(reference: Reference, radius: ArrayLike) -> Domain:
     A reference that ends, or sines with a common period, have a box for each of PARTS intervals of time. Others have
     one box. Raises TrajectoryError for a radius that is not finite and positive.
     """
-    reach = checks.vector("radius", radius, reference.n, TrajectoryError)
-    if not np.all(reach > 0):
-        raise TrajectoryError(f"radius is {reach.tolist()}; expected positive numbers")
-    reach = reach + ROUNDING
+    reach = checks.positive_vector("radius", radius, reference.n, TrajectoryError) + ROUNDING
     whole = reference.motion_bounds(0.0, np.inf)
     lower, upper = whole.lower[0] - reach, whole.upper[0] + reach
     horizon = _horizon(reference)

@@ -110,9 +110,7 @@ class JointTolerances:
     tolerance: Array
 
     def __post_init__(self) -> None:
-        tolerance = checks.vector("tolerance", self.tolerance, len(self.names), StateError)
-        if not (tolerance > 0).all():
-            raise StateError(f"tolerance is {tolerance.tolist()}; expected positive numbers")
+        tolerance = checks.positive_vector("tolerance", self.tolerance, len(self.names), StateError)
         if len(self.units) != len(self.names):
             raise StateError(f"units are {self.units}; expected one for each of {len(self.names)} joints")
         object.__setattr__(self, "tolerance", tolerance)
