@@ -21,7 +21,7 @@ from fjr_core.law.gains import FASTEST_RATE, two_scale_gains
 from fjr_core.law.interfaces import StaticLaw
 from fjr_core.law.linearized import rest_position, slope_at_rest
 from fjr_core.law.vdpbc import TrackingLaw
-from fjr_core.model.planar_arms import Rod, urdf_of_rods
+from fjr_core.model.planar_arms import urdf_of_links
 from fjr_design.baselines import feedback_linearisation
 from fjr_design.batch import ClosedLoop
 from fjr_design.studies.trial import Trial, motion_demand
@@ -266,8 +266,9 @@ FILES = """
 def test_a_file_that_changes_under_its_name_is_tuned_anew(changes: str, tmp_path: Path) -> None:
     """A notebook loads the same scenario again after the URDF, or the motion, was edited."""
     for mass, start in ((1.0, 0.0), (3.0, 1.0)):
-        urdf = urdf_of_rods("arm", ["a"], [Rod(mass if changes == "arm.urdf" else 1.0, 0.5, 0.25, 0.02)])
-        (tmp_path / "arm.urdf").write_text(urdf)
+        heavier = mass if changes == "arm.urdf" else 1.0
+        links = fjr.single_link(link_inertia=0.08 * heavier, gravity_torque=2.5 * heavier).links
+        (tmp_path / "arm.urdf").write_text(urdf_of_links("arm", ["a"], links.bodies))
         place = start if changes == "motion.csv" else 0.0
         rows = (f"{t:.2f},{place + 0.2 * np.sin(t) ** 4}" for t in np.arange(0.0, 4.0, 0.05))
         (tmp_path / "motion.csv").write_text("time,a\n" + "\n".join(rows) + "\n")

@@ -240,15 +240,11 @@ def description(values: Values) -> str:
     """
     if values[MODEL.name] == "urdf":
         return str(robot_file.inlined(values)["robot.urdf"])
-    from ..model.planar_arms import Rod, hanging_rod, urdf_of_rods
+    from ..model.planar_arms import urdf_of_links
 
-    if values[MODEL.name] == "single_link":
-        inertia, load = (float(vector(values, f"robot.{each}", 1)[0]) for each in ("link_inertia", "gravity_torque"))
-        rods = [hanging_rod(inertia, load)]
-    else:
-        columns = (vector(values, f"robot.link_{each}", 2) for each in ("mass", "length", "com", "inertia"))
-        rods = [Rod(*map(float, row)) for row in zip(*columns, strict=True)]
-    return urdf_of_rods(str(values[MODEL.name]), names(values, "joints"), rods)
+    lengths = vector(values, "robot.link_length", 2) if values[MODEL.name] == "planar_two_link" else (0.0,)
+    bodies = robot(values).links.bodies
+    return urdf_of_links(str(values[MODEL.name]), names(values, "joints"), bodies, float(lengths[-1]))
 
 
 def locked_positions(values: Values) -> dict[str, float]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import RobotError
 from ..numerics import checks
-from .planar_arms import PLANAR_TWO_LINK, SINGLE_LINK, STANDARD_GRAVITY
+from .planar_arms import PLANAR_TWO_LINK, SINGLE_LINK, SMALLEST_LOAD, STANDARD_GRAVITY, WEIGHTLESS_LENGTH
 from .rigid_arm import ArmDynamics, Body, EndEffector, closed_form
 from .robot import Robot
 
@@ -38,7 +38,7 @@ def single_link(
         lambda q_l: load * (1 - ca.cos(q_l)),
         vertices=(M_l,),
         end_effector=_planar_end_effector((), STANDARD_GRAVITY),
-        bodies=(_pendulum(inertia, load / STANDARD_GRAVITY),),
+        bodies=(_pendulum(inertia, load),),
     )
     return _robot(links, M_m=motor_inertia, K=stiffness, D_l=link_damping, D_m=motor_damping, B_m=input_gain)
 
@@ -111,12 +111,15 @@ HANGING = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 """Frame of the first link at q_l = 0 in that of the base: x down, y forward, z the axis, which points to the left."""
 
 
-def _pendulum(inertia: float, moment: float) -> Body:
-    """Return a link of inertia [kg m^2] about its joint, and first moment mass * com [kg m]."""
-    if not moment:
-        return _planar_body(None, 0.0, 0.0, inertia)
-    com = inertia / (2 * moment)
-    return _planar_body(None, moment / com, com, inertia / 2)
+def _pendulum(inertia: float, load: float) -> Body:
+    """Return a uniform rod with inertia [kg m^2] about its joint and m g com = load [N m]: inertia = 4/3 m com^2.
+
+    For a zero load the centre of mass is at the joint; for a negative one it is above.
+    """
+    if abs(load) < SMALLEST_LOAD:
+        return _planar_body(None, 12 * inertia / WEIGHTLESS_LENGTH**2, 0.0, inertia)
+    com = 0.75 * inertia * STANDARD_GRAVITY / load
+    return _planar_body(None, load / (STANDARD_GRAVITY * com), com, inertia / 4)
 
 
 def _planar_body(joint: float | None, mass: float, com: float, inertia: float) -> Body:

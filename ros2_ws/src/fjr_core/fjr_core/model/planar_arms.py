@@ -5,8 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .rigid_arm import Body
 
 SINGLE_LINK: dict[str, Any] = {
     "stiffness": 31.0,  # N m/rad
@@ -34,67 +38,47 @@ PLANAR_TWO_LINK: dict[str, Any] = {
 STANDARD_GRAVITY = 9.81
 """Gravity [m/s^2] on the payload of a model without a parameter for it."""
 SMALLEST_LOAD = 1e-9
-"""Smallest gravity torque [N m] that a URDF models."""
+"""Smallest gravity torque [N m] of a body."""
 WEIGHTLESS_LENGTH = 0.3
 """Length [m] of a single link without gravity in its URDF."""
 COLOURS = {"light": "0.85 0.85 0.88 1", "dark": "0.30 0.33 0.38 1"}
 
 
-@dataclass(frozen=True)
-class Rod:
-    """A link of an arm in a vertical plane: mass [kg], length and centre of mass [m] along -z from its joint.
+def urdf_of_links(name: str, joints: Sequence[str], bodies: Sequence[Body], length: float = 0.0) -> str:
+    """Return the URDF text of an arm in a vertical plane, which hangs along -z; bodies: one for each joint.
 
-    inertia [kg m^2] about the centre of mass, in the plane. A negative length points up.
-    """
-
-    mass: float
-    length: float
-    com: float
-    inertia: float
-
-
-def hanging_rod(inertia: float, load: float) -> Rod:
-    """Return a uniform rod with inertia [kg m^2] about its joint and m g com = load [N m]: inertia = 4/3 m com^2.
-
-    For a zero load the centre of mass is at the joint.
-    """
-    if abs(load) < SMALLEST_LOAD:
-        return Rod(12 * inertia / WEIGHTLESS_LENGTH**2, WEIGHTLESS_LENGTH, 0.0, inertia)
-    com = 0.75 * inertia * STANDARD_GRAVITY / load
-    return Rod(abs(load) / (STANDARD_GRAVITY * abs(com)), 2 * com, com, inertia / 4)
-
-
-def urdf_of_rods(name: str, joints: Sequence[str], rods: Sequence[Rod]) -> str:
-    """Return the URDF text of a chain of rods in a vertical plane, one for each joint.
-
-    Each joint axis is -y, so that a hanging link moves towards x for an increasing joint angle.
+    Each joint axis is -y, so that a hanging link moves towards x for an increasing joint angle. length [m]: of the last
+    link, 0: twice the distance of its centre of mass.
     """
     from html import escape  # loaded on use; that of xml.sax imports an HTTP client
     from xml.etree import ElementTree
 
     colours = (f'<material name="{each}"><color rgba="{rgba}"/></material>' for each, rgba in COLOURS.items())
     parts = [*colours, f'<link name="base_link">{_cylinder(0.02, 0.08, 0.0, "dark", across=True)}</link>']
+    ends = [float(np.asarray(body.translation)[0]) for body in bodies[1:]]
+    ends.append(length or 2 * float(np.asarray(bodies[-1].com)[0]) or WEIGHTLESS_LENGTH)
     parent, height = "base_link", 0.0
-    for i, (joint, rod) in enumerate(zip(joints, rods, strict=True), start=1):
+    for i, (joint, body, end) in enumerate(zip(joints, bodies, ends, strict=True), start=1):
         parts.append(
             f'<joint name="{escape(joint)}" type="continuous"><parent link="{parent}"/><child link="link{i}"/>'
             f'<origin xyz="0 0 {height!r}"/><axis xyz="0 -1 0"/></joint>'
-            f'<link name="link{i}">{_inside(rod)}</link>'
+            f'<link name="link{i}">{_inside(body, end)}</link>'
         )
-        parent, height = f"link{i}", -rod.length
+        parent, height = f"link{i}", -end
     robot = ElementTree.fromstring(f'<robot name="{escape(name)}">{"".join(parts)}</robot>')
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def _inside(rod: Rod) -> str:
-    """Return inertia and looks of a rod: a thin cylinder along it, and one across at its joint."""
-    radius = min(0.02, abs(rod.length) / 8)
-    across, along = rod.inertia, min(rod.inertia, rod.mass * radius**2 / 2)
+def _inside(body: Body, length: float) -> str:
+    """Return inertia and looks of a link: a thin cylinder along it, and one across at its joint."""
+    com, across = float(np.asarray(body.com)[0]), float(np.asarray(body.inertia)[2, 2])
+    radius = min(0.02, abs(length) / 8)
+    along = min(across, body.mass * radius**2 / 2)
     return (
-        f'<inertial><origin xyz="0 0 {-rod.com!r}"/><mass value="{rod.mass!r}"/>'
+        f'<inertial><origin xyz="0 0 {-com!r}"/><mass value="{body.mass!r}"/>'
         f'<inertia ixx="{across!r}" iyy="{across!r}" izz="{along!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
-        + _cylinder(radius, abs(rod.length), -rod.length / 2, "light")
+        + _cylinder(radius, abs(length), -length / 2, "light")
         + _cylinder(1.4 * radius, 3 * radius, 0.0, "dark", across=True)
     )
 
