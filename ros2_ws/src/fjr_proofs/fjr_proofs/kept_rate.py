@@ -20,7 +20,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.configuration_sampling import bounds_of, sample_configurations
 from fjr_core.motions.domain import GOAL, Domain, tube
 from fjr_core.numerics.checks import Array
-from fjr_core.numerics.code_cache import code_folder, is_intact
+from fjr_core.numerics.code_cache import cache_folder, code_folder, is_intact, read, write
 from fjr_core.numerics.jit import program_digest
 from fjr_core.numerics.one_line import at_least
 from fjr_msgs_py.console.output import heartbeat, tell
@@ -73,19 +73,18 @@ def cached_rate(scenario: Scenario) -> CertifiedRate | None:
     A kept proof that is not as it was written is emptied; one sentence says that it is not used.
     """
     try:
-        folder, name = code_folder(), _name(scenario)
-        content = folder.read(name)
+        kept = code_folder() / _name(scenario)
     except OSError:
         return None
+    content = read(kept)
     if not content:
         return None
-    if is_intact(folder, name):
+    if is_intact(kept):
         return CertifiedRate(**json.loads(content))
     with suppress(OSError):
-        folder.write(name, b"")
-    tell(
-        f"the kept proof {folder.path / name} is changed or damaged; expected it as written: --certificate proves again"
-    )
+        write(kept, b"")
+    place = cache_folder() / kept.name
+    tell(f"the kept proof {place} is changed or damaged; expected it as written: --certificate proves again")
     return None
 
 
@@ -101,9 +100,7 @@ def certified_rate(scenario: Scenario, seconds: float) -> CertifiedRate:
     rates = filter(None, (known, _proven_within(scenario, law, seconds)))  # the known one may have had more time
     rate = max(rates, key=lambda each: each.beta)
     with suppress(OSError):
-        folder, name, content = code_folder(), _name(scenario), json.dumps(vars(rate)).encode()
-        folder.write(name, content)
-        folder.write(f"{name}.sha256", hashlib.sha256(content).hexdigest().encode())
+        write(code_folder() / _name(scenario), json.dumps(vars(rate)).encode())
     return rate
 
 

@@ -64,19 +64,20 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def whole_file(path: Path, sealed: bool = False) -> Iterator[Path]:
+def whole_file(path: Path, sealed: bool = False, mode: int = 0o666) -> Iterator[Path]:
     """Yield a path to write to; the file is renamed to `path` once its content is on disk.
 
     An exception in the block removes the partial file and keeps an earlier one; an OSError names the file. sealed:
-    write the SHA-256 digest of the content to `<name>.sha256` before the rename.
+    write the SHA-256 digest of the content to `<name>.sha256` before the rename. mode: permissions, less the umask.
     """
     scratch = path.with_name(f"{path.name}.{os.getpid()}.part")  # not that of another process
     try:
+        scratch.touch(mode)
         yield scratch
         with scratch.open("rb") as written:
             os.fsync(written.fileno())
         if sealed:
-            write_text(_seal(path), _digest(scratch))
+            write_text(_seal(path), _digest(scratch), mode=mode)
         os.replace(scratch, path)
     except BaseException as error:
         if isinstance(error, OSError):  # that of a full disk names none
@@ -85,9 +86,9 @@ def whole_file(path: Path, sealed: bool = False) -> Iterator[Path]:
         raise
 
 
-def write_text(path: Path, text: str, sealed: bool = False) -> None:
-    """Write a text file atomically; sealed: see whole_file."""
-    with whole_file(path, sealed) as scratch:
+def write_text(path: Path, text: str, sealed: bool = False, mode: int = 0o666) -> None:
+    """Write a text file atomically; sealed, mode: see whole_file."""
+    with whole_file(path, sealed, mode) as scratch:
         scratch.write_text(text, encoding="utf-8")
 
 

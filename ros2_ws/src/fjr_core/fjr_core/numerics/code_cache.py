@@ -13,78 +13,33 @@ import fcntl
 import hashlib
 import logging
 import os
-import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-MODE = 0o700  # of the folder: its code is run by its owner only
+from ..files.text_file import DIGEST, whole_file
+
+FOLDER_MODE, FILE_MODE = 0o700, 0o600  # the code is run by its owner only
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 _FILE = os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
 _opened: dict[tuple[int, int], int] = {}
 _log = logging.getLogger("fjr_core.numerics.jit")
 
 
-@dataclass(frozen=True)
-class PrivateFolder:
-    """An open folder, created by `open_private`. path: its name in messages."""
+def open_private(path: Path) -> Path:
+    """Return a path of a folder, created if missing, through a descriptor that stays open, if the system supports it.
 
-    path: Path
-    descriptor: int
-
-    def read(self, name: str) -> bytes | None:
-        """Return the content of a file that belongs to this user; None if there is no such file."""
-        try:
-            descriptor = os.open(name, os.O_RDONLY | _FILE, dir_fd=self.descriptor)
-        except (OSError, ValueError):
-            return None
-        with open(descriptor, "rb") as stream:
-            status = os.fstat(descriptor)
-            return stream.read() if _is_ours(status) and stat.S_ISREG(status.st_mode) else None
-
-    def write(self, name: str, content: bytes) -> None:
-        """Write a file atomically. Raises OSError."""
-        scratch = f".{name}.{secrets.token_hex(8)}"
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
-        try:
-            with open(os.open(scratch, flags, 0o600, dir_fd=self.descriptor), "wb") as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(scratch, name, src_dir_fd=self.descriptor, dst_dir_fd=self.descriptor)
-        except BaseException:
-            with suppress(OSError):
-                os.unlink(scratch, dir_fd=self.descriptor)
-            raise
-
-    @contextmanager
-    def locked(self, name: str) -> Iterator[None]:
-        """Hold a lock among the processes of this user. Raises OSError."""
-        flags = os.O_RDWR | os.O_CREAT | _FILE
-        with open(os.open(name, flags, 0o600, dir_fd=self.descriptor), "r+b") as held:
-            fcntl.flock(held, fcntl.LOCK_EX)
-            yield
-
-    def within(self, name: str) -> str:
-        """Return a path for the dynamic linker, through the open descriptor if the system supports it."""
-        through = f"/proc/self/fd/{self.descriptor}"
-        return f"{through if os.path.isdir(through) else self.path}/{name}"
-
-
-def open_private(path: Path) -> PrivateFolder:
-    """Open a folder, created if missing.
-
-    Raises OSError, also for a folder that is a link, belongs to another user or can be written by others. One
-    descriptor per folder stays open, because the dynamic linker treats files of equal path as the same file.
+    Through it the folder stays the same, whoever exchanges its parents. Raises OSError, also for a folder that is a
+    link, belongs to another user or can be written by others. There is one descriptor per folder, because the dynamic
+    linker treats files of equal path as the same file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with suppress(FileExistsError):
-        path.mkdir(mode=MODE)
+        path.mkdir(mode=FOLDER_MODE)
     if path.is_symlink():
         raise OSError(f"{path} is a symbolic link; expected a folder")
     descriptor = os.open(path, _FOLDER)
@@ -98,7 +53,25 @@ def open_private(path: Path) -> PrivateFolder:
     known = _opened.setdefault((status.st_dev, status.st_ino), descriptor)
     if known != descriptor:
         os.close(descriptor)
-    return PrivateFolder(path, known)
+    through = Path(f"/proc/self/fd/{known}")
+    return through if through.is_dir() else path
+
+
+def read(file: Path) -> bytes | None:
+    """Return the content of a regular file that belongs to this user; None if there is no such file."""
+    try:
+        descriptor = os.open(file, os.O_RDONLY | _FILE)
+    except (OSError, ValueError):
+        return None
+    with open(descriptor, "rb") as stream:
+        status = os.fstat(descriptor)
+        return stream.read() if _is_ours(status) and stat.S_ISREG(status.st_mode) else None
+
+
+def write(file: Path, content: bytes) -> None:
+    """Write a file and its digest atomically. Raises OSError."""
+    with whole_file(file, sealed=True, mode=FILE_MODE) as scratch:
+        scratch.write_bytes(content)
 
 
 def _is_ours(status: os.stat_result) -> bool:
@@ -114,7 +87,7 @@ def cache_folder() -> Path:
     return Path(base) / "fjr"
 
 
-def code_folder() -> PrivateFolder:
+def code_folder() -> Path:
     """Open the cache folder, or a temporary folder if it is not private. Raises OSError."""
     try:
         return open_private(cache_folder())
@@ -122,7 +95,7 @@ def code_folder() -> PrivateFolder:
         return temporary_folder(str(error))
 
 
-def temporary_folder(reason: str) -> PrivateFolder:
+def temporary_folder(reason: str) -> Path:
     """Open a private folder that is removed when this process ends; log the reason once. Raises OSError.
 
     The folder becomes XDG_CACHE_HOME of this process and its child processes, so that they share it.
@@ -131,41 +104,38 @@ def temporary_folder(reason: str) -> PrivateFolder:
     if os.environ.get("XDG_CACHE_HOME") != base:
         _log.warning("%s; compiled code is kept in %s until this command ends", reason, base)
         os.environ["XDG_CACHE_HOME"] = base
-    return open_private(Path(base) / "fjr")
+    return open_private(cache_folder())
 
 
-def is_intact(folder: PrivateFolder, name: str) -> bool:
+def is_intact(file: Path) -> bool:
     """Return whether a file exists with the content that was stored."""
-    content, digest = folder.read(name), folder.read(f"{name}.sha256")
-    return content is not None and digest == _digest(content)
+    content, digest = read(file), read(file.with_name(file.name + DIGEST))
+    return content is not None and digest == hashlib.sha256(content).hexdigest().encode()
 
 
-def kept(name: str, make: Callable[[], bytes]) -> PrivateFolder:
-    """Return the folder that holds an intact file of this name; the file is made where it is missing. Raises OSError.
+def kept(name: str, make: Callable[[], bytes]) -> Path:
+    """Return the intact file of this name; it is made where it is missing. Raises OSError.
 
     If two processes ask for the same file, one makes it and the other waits. Where the cache folder cannot be written,
     a temporary folder holds the file.
     """
-    folder = code_folder()
+    file = code_folder() / name
     try:
-        return _ensured(folder, name, make)
+        return _ensured(file, make)
     except OSError as error:
-        reason = f"cannot write to {folder.path} ({error.strerror or error})"
-        return _ensured(temporary_folder(reason), name, make)
+        reason = f"cannot write to {cache_folder()} ({error.strerror or error})"
+        return _ensured(temporary_folder(reason) / name, make)
 
 
-def _ensured(folder: PrivateFolder, name: str, make: Callable[[], bytes]) -> PrivateFolder:
-    if not is_intact(folder, name):
-        with folder.locked(f"{name}.lock"):
-            if not is_intact(folder, name):
-                content = make()
-                folder.write(name, content)
-                folder.write(f"{name}.sha256", _digest(content))
-    return folder
-
-
-def _digest(content: bytes) -> bytes:
-    return hashlib.sha256(content).hexdigest().encode()
+def _ensured(file: Path, make: Callable[[], bytes]) -> Path:
+    if not is_intact(file):
+        with open(
+            os.open(file.with_name(f"{file.name}.lock"), os.O_RDWR | os.O_CREAT | _FILE, FILE_MODE), "r+b"
+        ) as held:
+            fcntl.flock(held, fcntl.LOCK_EX)
+            if not is_intact(file):
+                write(file, make())
+    return file
 
 
 @cache

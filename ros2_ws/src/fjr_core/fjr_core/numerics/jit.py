@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 
 from ..errors import PIP, CompilerError
-from .code_cache import cache_folder, code_folder, is_intact, kept
+from .code_cache import cache_folder, code_folder, is_intact, kept, read, write
 from .symbolic import bind
 
 NAMES = ("cc", "gcc", "clang")
@@ -99,7 +99,8 @@ def _environment(program: str) -> dict[str, str]:
     """Return the environment of the compiler; zig keeps what it builds from libc in the folder of compiled code."""
     if Path(program).name != "zig":
         return dict(os.environ)
-    folder = str(code_folder().path / "zig")
+    code_folder()
+    folder = str(cache_folder() / "zig")
     return {"ZIG_GLOBAL_CACHE_DIR": folder, "ZIG_LOCAL_CACHE_DIR": folder, **os.environ}
 
 
@@ -167,7 +168,7 @@ def _library(name: str, source: str, options: Sequence[str] = ()) -> str:
     compiler = c_compiler()
     key = hashlib.sha256("\n".join([source, *machine(), *options]).encode())
     library = f"{name}-{key.hexdigest()[:32]}.so"
-    return kept(library, lambda: _built(name, source, [*compiler, *OPTIONS], options)).within(library)
+    return str(kept(library, lambda: _built(name, source, [*compiler, *OPTIONS], options)))
 
 
 def _built(name: str, source: str, command: Sequence[str], options: Sequence[str]) -> bytes:
@@ -214,17 +215,16 @@ def compiled_from_inputs(name: str, model: bytes, pattern: str, build: Callable[
     """
     try:
         parts = [name, pattern, ca.__version__, source_digest(), *machine(), model.hex()]
-        note = f"{name}-{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:32]}.note"
-        folder = code_folder()
-        found = (folder.read(note) or b"").decode("ascii", "replace")
-        if found.startswith(f"{name}-") and "/" not in found and is_intact(folder, found):
-            return external(name, folder.within(found))
+        note = code_folder() / f"{name}-{hashlib.sha256(chr(10).join(parts).encode()).hexdigest()[:32]}.note"
+        found = (read(note) or b"").decode("ascii", "replace")
+        if found.startswith(f"{name}-") and "/" not in found and is_intact(note.with_name(found)):
+            return external(name, str(note.with_name(found)))
     except (CompilerError, OSError, RuntimeError):
         return compiled(build())
     function = compiled(build())
     if path := getattr(function, "shared_object", ""):
         with suppress(OSError):
-            code_folder().write(note, os.path.basename(path).encode())
+            write(note, os.path.basename(path).encode())
     return function
 
 
@@ -259,7 +259,7 @@ def ffi_of(declarations: str) -> Any:
     name = f"c_types-{key.hexdigest()[:32]}.py"
     found: dict[str, Any] = {}
     try:
-        code = kept(name, lambda: _written(declarations)).read(name)
+        code = read(kept(name, lambda: _written(declarations)))
     except OSError:  # no folder can be written; that only costs time
         code = None
     exec(compile(code or _written(declarations), name, "exec"), found)
