@@ -163,12 +163,6 @@ class PythonPlant(Plant):
         for function in (self.dynamics, self.step_function):
             function.raise_failure()
 
-    def derivative(self, x: Any, u: Any) -> Array:
-        """Return dx/dt (4n,) as Plant does; raises UserCodeError."""
-        found = super().derivative(x, u)
-        self.raise_failure()
-        return found
-
     @cached_property
     def dynamics(self) -> PythonFunction:
         """The CasADi function (x, u) -> dx, with derivatives by differences."""
@@ -247,23 +241,12 @@ class PythonLaw(StaticLaw):
         """Raise UserCodeError: there are no expressions of a law in Python."""
         raise UserCodeError(f"{self.title} is written in Python; expected a law of expressions here")
 
-    def measured_command(self, position: Any, velocity: Any, jets: Any) -> tuple[Array, float]:
-        """Return u (n,) and V as StaticLaw does; raises UserCodeError."""
-        found = super().measured_command(position, velocity, jets)
-        self.raise_failure()
-        return found
-
     @cached_property
     def measured_expression(self) -> PythonFunction:
         """The law as a CasADi function, with derivatives by differences; see StaticLaw.measured_function."""
         n = self.robot.n
         inputs = {"position": (2 * n,), "velocity": (2 * n,), "jets": (JETS, n), "gains": (0,)}
         return PythonFunction(self.title, self._evaluate, inputs, {"u": (n,), "V": ()})
-
-    def command(self, x: Any, jets: Any) -> Array:
-        """Return u(x, x, t) (n,) as StaticLaw does; raises UserCodeError."""
-        velocity = np.concatenate(self.robot.velocities(x))
-        return self.measured_command(np.asarray(x)[: len(velocity)], velocity, jets)[0]
 
     def _evaluate(self, position: Array, velocity: Array, jets: Array, _gains: Array) -> tuple[Any, Any]:
         u = self.own.effort(position, velocity, jets)

@@ -155,22 +155,25 @@ class StaticLaw(SampledLaw):
         """Return u(x, x, t) (n,) [N m] and V [J] for a measured position and velocity.
 
         position (q_l, q_m) [rad] and velocity (dq_l, dq_m) [rad/s], (2n,) each; jets (5, n): q_ld .. d4q_ld.
-        V is nan if the law has no storage. Raises StateError for wrong shapes.
+        V is nan if the law has no storage. Raises StateError for wrong shapes, UserCodeError.
         """
         u, V = evaluate(self.measured_function, position, velocity, jets, self.gain_values)
+        self.raise_failure()
         return u, float(V[0])
 
     def command(self, x: ArrayLike, jets: ArrayLike) -> Array:
-        """Return the effort u(x, x, t) (n,) [N m] at a state x (4n,) with momenta; jets (5, n)."""
-        return evaluate(self.command_function, x, jets)[0]
+        """Return u(x, x, t) (n,) [N m] at a state x (4n,) with momenta; jets (5, n). Raises UserCodeError."""
+        u = evaluate(self.command_function, x, jets)[0]
+        self.raise_failure()
+        return u
 
     @cached_property
     def command_function(self) -> ca.Function:
         """The CasADi function (x, jets (n, 5)) -> u(x, x, t), V; compiled if requested."""
         n = self.robot.n
-        x, jets = ca.SX.sym("x", 4 * n), ca.SX.sym("jets", n, JETS)
-        velocity = ca.vertcat(*self.robot.velocity_expressions(x))
-        u, V = self.measured_expression(x[: 2 * n], velocity, jets, ca.DM(self.gain_values))
+        kind = ca.MX if self.in_python else ca.SX
+        x, jets = kind.sym("x", 4 * n), kind.sym("jets", n, JETS)
+        u, V = self.measured_expression(x[: 2 * n], self.robot.to_velocity(x), jets, ca.DM(self.gain_values))
         return self.ready(dense_function("command", {"x": x, "jets": jets}, {"u": u, "V": V}, cse=True))
 
     @cached_property

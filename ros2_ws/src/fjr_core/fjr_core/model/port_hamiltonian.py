@@ -99,8 +99,10 @@ class Plant:
         return compiled(function) if self.compiles else function
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Return dx/dt (4n,) at state x (4n,) and effort u (n,) [N m], eq. (36)."""
-        return evaluate(self.dynamics, x, u)[0]
+        """Return dx/dt (4n,) at state x (4n,) and effort u (n,) [N m], eq. (36). Raises UserCodeError."""
+        dx = evaluate(self.dynamics, x, u)[0]
+        self.raise_failure()
+        return dx
 
     def step(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
         """Return the state (4n,) after one integrator step of dt [s] with u held."""
