@@ -15,7 +15,7 @@ from ..numerics.checks import Array, freeze
 from ..numerics.one_line import one_line
 from ..numerics.parameter_field import ROWS as TABLE
 from ..numerics.parameter_field import VECTOR
-from .reference import ROWS, MotionBounds, Reference, motion_bounds_on, motion_field, offset_field
+from .reference import MotionBounds, Reference, motion_bounds_on, motion_field, offset_field
 
 MOST_CYCLES = 1000
 """Cycles of the fastest sine in a common period of several, up to which their bounds are exact."""
@@ -85,20 +85,19 @@ class Sines(Reference):
         They are exact for one row and for rows with a common period. For other rows they are the sums of the bounds of
         the rows, which is conservative, and their times are NaN.
         """
-        if self.period is not None:
-            end = min(t1, t0 + self.period)
-            cycles = (end - t0) * np.abs(np.asarray(self.frequency)).max() / (2 * np.pi)
-            grid = np.linspace(t0, end, POINTS_PER_CYCLE * (int(cycles) + 1) + 1)
-            return motion_bounds_on(self.jets, np.asarray(grid, dtype=float))
-        each = [
-            np.stack([_sine_bounds(a * w**order, w, p + order * np.pi / 2, t0, t1) for order in range(ROWS)], axis=1)
-            for a, w, p in zip(*self.rows, strict=True)
-        ]  # a derivative multiplies by the frequency, and advances by a quarter turn
-        bounds = np.sum(each, axis=0)
-        bounds[:2, 0] += np.asarray(self.offset)
-        if len(each) > 1:
+        _, frequency, _ = self.rows
+        if len(frequency) > 1 and self.period is None:
+            each = [Sine(a, w, phase=p).motion_bounds(t0, t1) for a, w, p in zip(*self.rows, strict=True)]
+            bounds = np.sum(each, axis=0)
+            bounds[:2, 0] += np.asarray(self.offset)
             bounds[2:] = np.nan
-        return MotionBounds(*bounds)
+            return MotionBounds(*bounds)
+        grids = [np.array([t0, min(t1, t0 + 1.0)])]
+        for w in np.unique(np.abs(frequency[frequency != 0])):  # each over the common period, or its own
+            length = min(t1 - t0, self.period or 2 * np.pi / w)
+            parts = POINTS_PER_CYCLE * (int(length * w / (2 * np.pi)) + 1)
+            grids.append(t0 + length * np.arange(parts + 1) / parts)
+        return motion_bounds_on(self.jets, np.unique(np.concatenate(grids)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,17 +173,3 @@ def _turns(k: int, m: int) -> Array:
         ratio = (1.0 + ratio) ** (1.0 / m)
     steps = np.append(1.0 / k, ratio ** -np.arange(1.0, m))
     return np.asarray(np.outer(np.arange(k), steps) % 1.0)
-
-
-def _sine_bounds(a: Array, w: Array, phase: Array, t0: float, t1: float) -> Array:
-    """Return lower, upper, lower_at, upper_at (4, n) of a sin(w t + phase) from t0 to t1 [s].
-
-    They are among the values at both ends, at the first crest and at the first trough.
-    """
-    turns = (np.pi / 2 * np.array([[1.0], [-1.0]]) - w * t0 - phase) * np.sign(w) % (2 * np.pi)
-    first = t0 + np.divide(turns, np.abs(w), out=np.full_like(turns, np.nan), where=w != 0)
-    ends = np.array([t0, t1 if np.isfinite(t1) else t0])[:, None] + np.zeros_like(a)
-    at = np.concatenate([ends, np.where(first <= t1, first, t0)])
-    values, each = a * np.sin(w * at + phase), np.arange(len(a))
-    low, high = values.argmin(axis=0), values.argmax(axis=0)
-    return np.stack([values[low, each], values[high, each], at[low, each], at[high, each]])
