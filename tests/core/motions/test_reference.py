@@ -231,7 +231,10 @@ BAD: dict[str, tuple[Callable[[], object], tuple[str, ...]]] = {
     # samples
     "tolerance": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], -1.0), ("tolerance is -1.0; expected 0 or more",)),
     "late": (lambda: fjr.SampledMotion([5, 6], [[0], [1]], 0.0), ("times begins with 5.0 s; expected 0",)),
-    "tolerances": (lambda: fjr.SampledMotion([0, 1], [[0], [1]], [1, 1]), ("tolerance has length 2; expected 1",)),
+    "tolerances": (
+        lambda: fjr.SampledMotion([0, 1], [[0], [1]], [1, 1]),
+        ("tolerance has shape (2,); expected a scalar or (1,)",),
+    ),
     # transitions
     "at once": (lambda: fjr.transition(JETS, 0.0, RUNNING, 0.0), ("duration", "0.0 s", "positive")),
     "endless": (lambda: fjr.transition(JETS, 0.0, RUNNING, np.inf), ("duration", "inf", "finite")),

@@ -179,7 +179,10 @@ class SampledMotion(PolynomialReference):
         t, q = np.asarray(self.times), np.asarray(self.positions)
         if t[0]:  # before the first sample the reference is constant, which is no C^4 beginning of a moving one
             raise TrajectoryError(f"times begins with {t[0]} s; expected 0")
-        tolerance = _tolerance(self.tolerance, n)
+        given = checks.floats("tolerance", self.tolerance, TrajectoryError)
+        if not np.all(given >= 0):
+            raise TrajectoryError(f"tolerance is {given.tolist()}; expected 0 or more")
+        tolerance = checks.filled("tolerance", given.squeeze(), (n,), TrajectoryError)
         freeze(self, "tolerance", tolerance)
         fit = least_squares_fit(t, q, tolerance) if np.all(tolerance > 0) else None
         if fit is None:
@@ -190,17 +193,6 @@ class SampledMotion(PolynomialReference):
         self.set_knots(*_brought_to_rest(times, jets))
         object.__setattr__(self, "smoothed", fit is not None)
         freeze(self, "deviation", np.zeros(n) if fit is None else fit.deviation)
-
-
-def _tolerance(given: ArrayLike, n: int) -> Array:
-    """Return the tolerance of each joint (n,); raise TrajectoryError."""
-    array = checks.floats("tolerance", given, TrajectoryError)
-    if array.shape not in ((), (1,), (n,)):
-        expected = "1" if n == 1 else f"1 or {n}, one per joint"
-        raise TrajectoryError(f"tolerance has length {array.size}; expected {expected}")
-    if not np.all(array >= 0):
-        raise TrajectoryError(f"tolerance is {array.tolist()}; expected 0 or more")
-    return np.array(np.broadcast_to(array, n))
 
 
 def _brought_to_rest(times: Array, jets: Array) -> tuple[Array, Array]:
