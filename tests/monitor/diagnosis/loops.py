@@ -68,7 +68,7 @@ class Certified(LatestIntervals):
         library = step_library(law.robot.n)
         super().__init__(law.robot.n, library)
         certificate, prediction = Certificate(law).function, Prediction(law).function
-        functions = {"certify": certificate, "predict": prediction, "law": law.measured_function}
+        functions = {"certify": certificate, "predict": prediction, "law": law.function}
         ffi, self._lib = library.ffi, library.lib
         self.struct = CertificateStruct(ffi, functions, law, LONGEST_JUDGED)
         self.struct.pointer.gains = self.struct.keep(law)

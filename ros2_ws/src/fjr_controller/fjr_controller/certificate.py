@@ -62,7 +62,7 @@ class LiveCertificate:
         self.publisher = node.create_publisher(Float64MultiArray, names.CERTIFICATE, names.sample_qos(node))
         self._message = NativeMessage(program, float_array(",".join(LABELS), len(LABELS)))
         certificate, prediction = Certificate(law).function, Prediction(law).function
-        functions = {"certify": certificate, "predict": prediction, "law": law.measured_function}
+        functions = {"certify": certificate, "predict": prediction, "law": law.function}
         self._struct = CertificateStruct(program.ffi, functions, law, LONGEST_JUDGED)
         self.pointer, self.message = self._struct.pointer, self._message.pointer
         self.pointer.bounded, self.pointer.beta = not self._why_not, self._rate()

@@ -191,11 +191,8 @@ class Scenario:
         """Build law and plant step as the nodes do, so that their compiled functions are cached when they start."""
         from ..law.vdpbc import TrackingLaw
         from ..monitoring.certificate import Certificate, Prediction
-        from ..robust.law import RobustLaw
 
-        _ = self.law.measured_function
-        if isinstance(self.sampled_law, RobustLaw):
-            _ = self.sampled_law.ready_step
+        _ = self.law.function, self.sampled_law.function
         if self.controller_values["certificate"] and isinstance(self.law, TrackingLaw):
             _ = Certificate(self.law).function, Prediction(self.law).function
         self.plant.step(self.x0, [0.0] * self.robot.n, self.sample_period)

@@ -243,7 +243,7 @@ class PythonLaw(StaticLaw):
 
     @cached_property
     def measured_expression(self) -> PythonFunction:
-        """The law as a CasADi function, with derivatives by differences; see StaticLaw.measured_function."""
+        """The law as a CasADi function, with derivatives by differences; see StaticLaw.function."""
         n = self.robot.n
         inputs = {"position": (2 * n,), "velocity": (2 * n,), "jets": (JETS, n), "gains": (0,)}
         return PythonFunction(self.title, self._evaluate, inputs, {"u": (n,), "V": ()})

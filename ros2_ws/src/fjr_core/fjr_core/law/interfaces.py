@@ -59,8 +59,11 @@ class SampledLaw(ABC):
         """
 
     @property
-    def ready_step(self) -> ca.Function:
-        """step_function, compiled if the law is."""
+    def function(self) -> ca.Function:
+        """The CasADi function that C and a simulation call: step_function, compiled if the law is.
+
+        That of a static law has no memory, sent, dt and next.
+        """
         return self.step_function
 
     @property
@@ -113,7 +116,7 @@ class StaticLaw(SampledLaw):
         """
         other = type(self)(self.robot, gains, self.compiles)
         other.symbols = self.symbols
-        other.measured_function = self.measured_function
+        other.function = self.function
         built = ("measured_expression", "step_function")  # unless the compiled function came from the cache
         vars(other).update({name: vars(self)[name] for name in built if name in vars(self)})
         other.gain_values = self.symbols.values(other.arrays)
@@ -121,7 +124,7 @@ class StaticLaw(SampledLaw):
 
     @abstractmethod
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """Return the arguments of measured_function, and expressions of u (n,), V and further outputs."""
+        """Return the arguments of `function`, and expressions of u (n,), V and further outputs."""
 
     @property
     @abstractmethod
@@ -135,7 +138,7 @@ class StaticLaw(SampledLaw):
 
     @cached_property
     def gain_values(self) -> Array:
-        """The argument `gains` (g,) of measured_function."""
+        """The argument `gains` (g,) of `function`."""
         return self.symbols.values(self.arrays)
 
     @property
@@ -144,7 +147,7 @@ class StaticLaw(SampledLaw):
         return self
 
     def at_measured(self, f: Flow, outputs: dict[str, ca.SX]) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """Return the arguments of measured_function, and outputs in the symbols of f as expressions of them."""
+        """Return the arguments of `function`, and outputs in the symbols of f as expressions of them."""
         n = self.robot.n
         position, velocity = ca.SX.sym("position", 2 * n), ca.SX.sym("velocity", 2 * n)
         values = f.at_velocities([ca.vertcat(position, velocity)], *outputs.values())
@@ -157,7 +160,7 @@ class StaticLaw(SampledLaw):
         position (q_l, q_m) [rad] and velocity (dq_l, dq_m) [rad/s], (2n,) each; jets (5, n): q_ld .. d4q_ld.
         V is nan if the law has no storage. Raises StateError for wrong shapes, UserCodeError.
         """
-        u, V = evaluate(self.measured_function, position, velocity, jets, self.gain_values)
+        u, V = evaluate(self.function, position, velocity, jets, self.gain_values)
         self.raise_failure()
         return u, float(V[0])
 
@@ -177,13 +180,13 @@ class StaticLaw(SampledLaw):
         return self.ready(dense_function("command", {"x": x, "jets": jets}, {"u": u, "V": V}, cse=True))
 
     @cached_property
-    def measured_function(self) -> ca.Function:
+    def function(self) -> ca.Function:
         """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; compiled if requested."""
         return self.ready(self.measured_expression)
 
     @cached_property
     def measured_expression(self) -> ca.Function:
-        """measured_function, not compiled, so that it can be part of another function."""
+        """`function`, not compiled, so that it can be part of another function."""
         inputs, outputs = self.measured_expressions()
         return dense_function("measured_command", inputs, {key: outputs[key] for key in ("u", "V")}, cse=True)
 

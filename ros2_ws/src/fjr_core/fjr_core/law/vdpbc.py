@@ -176,14 +176,14 @@ class TrackingLaw(StaticLaw):
         return rate
 
     @cached_property
-    def measured_function(self) -> ca.Function:
+    def function(self) -> ca.Function:
         """The CasADi function (position (2n,), velocity (2n,), jets (n, 5), gains) -> u, V; compiled if requested."""
         return self.derived("measured_command", lambda: self.measured_expression)
 
     def measured_expressions(
         self, f: Flow | None = None, omega: ca.SX | None = None, slope: bool = False
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """Return the arguments of measured_function, and expressions of the fields of Evaluation, s_m and port_l.
+        """Return the arguments of `function`, and expressions of the fields of Evaluation, s_m and port_l.
 
         f: flow at x_v = x, e.g. with a load. omega (n,) [N m]: input of eq. (42), zero by default.
         port_l = dV/dp_l (n,) [rad/s], defined if the flow has a load with integral action.

@@ -123,7 +123,7 @@ class RobustLaw(SampledLaw):
         return np.zeros(self._memory.size)
 
     @cached_property
-    def ready_step(self) -> ca.Function:
+    def function(self) -> ca.Function:
         """step_function, compiled if the law is compiled."""
         law, r = self.law, self.robust
         if not isinstance(law, TrackingLaw):
@@ -134,7 +134,7 @@ class RobustLaw(SampledLaw):
     def with_law(self, law: StaticLaw) -> RobustLaw:
         """Return this robust law for a law made by `self.law.with_gains`; nothing is built again."""
         other = type(self)(law, self.robust)
-        other.__dict__.update(step_function=self.step_function, ready_step=self.ready_step)
+        other.__dict__.update(step_function=self.step_function, function=self.function)
         return other
 
     @cached_property

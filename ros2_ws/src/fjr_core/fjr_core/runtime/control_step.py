@@ -21,7 +21,7 @@ from ..numerics.symbolic import NumericFunction
 from ..robust.law import RobustLaw, sampled_law
 from ..robust.options import Robust
 from .events import NEVER, STATES, Event, Journal, State
-from .library import Model, law_function, model_functions, settings_struct, step_library
+from .library import Model, model_functions, settings_struct, step_library
 from .measurement_model import Measurement
 from .reference import ReferenceStruct
 from .safety_settings import Settings
@@ -345,7 +345,7 @@ class ControlStep:
     def _checked_gains(self, law: StaticLaw, jets: Array) -> Array:
         """Return the gains of the law; raise GainsError unless its effort is finite at 1 and at the measured state."""
         sampled, n = self._sampled, law.robot.n
-        evaluate, values = NumericFunction(law_function(sampled)), sampled.gain_values
+        evaluate, values = NumericFunction(sampled.function), sampled.gain_values
         state = self.measured[: 4 * n].copy()
         state = state if state.dot(state) < np.inf else np.zeros(4 * n)
         jets = jets if np.isfinite(jets).all() else np.zeros((JETS, n))

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..law.interfaces import SampledLaw, StaticLaw
+from ..law.interfaces import SampledLaw
 from ..law.vdpbc import TrackingLaw
 from ..model.robot import Robot
 from ..numerics.checks import Array
@@ -152,9 +152,8 @@ class Model:
 
     def use(self, law: SampledLaw) -> None:
         """Replace the law by one of the same robot and a controller state of the same length."""
-        function = law_function(law)
-        if function is not self._functions["law"]:
-            self._functions["law"] = function
+        if law.function is not self._functions["law"]:
+            self._functions["law"] = law.function
             self._point()
 
     def _point(self) -> None:
@@ -174,7 +173,7 @@ def model_functions(
 
     Those of the rigid arm are compiled if the law is. compile: compile all but a law in Python.
     """
-    functions = {"law": law_function(law), **rigid_arm_functions(law.robot)}
+    functions = {"law": law.function, **rigid_arm_functions(law.robot)}
     names = [] if machine_code(functions["law"]) is None else ["gravity", "dynamics"]
     if observer is not None:
         functions["observer"] = observer.function
@@ -182,11 +181,6 @@ def model_functions(
     if compile:
         names = [name for name in functions if name != "law" or not law.in_python]
     return {name: compiled(f) if name in names and machine_code(f) is None else f for name, f in functions.items()}
-
-
-def law_function(law: SampledLaw) -> Any:
-    """Return the function of a law that C calls: its step, compiled if the law is, or that of a static law alone."""
-    return law.measured_function if isinstance(law, StaticLaw) else law.ready_step
 
 
 def rigid_arm_functions(robot: Robot) -> dict[str, ca.Function]:

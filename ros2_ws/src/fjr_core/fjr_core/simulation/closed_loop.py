@@ -157,12 +157,9 @@ def _bound_law(plant: Plant, law: SampledLaw, x: Array, u: Array, V: Array) -> C
     """
     now, velocity, sent, age = np.zeros((JETS, len(u))), np.zeros(len(x) // 2), np.zeros_like(u), np.zeros(1)
     memory, gains = law.memory.copy(), np.ascontiguousarray(law.gain_values, dtype=float)
-    after, measured = np.zeros_like(memory), [x[: len(velocity)], velocity, now, gains]
-    see = bind(plant.robot.to_velocity, [x], [velocity])
-    if isinstance(law, StaticLaw):
-        evaluate = bind(law.measured_function, measured, [u, V])
-    else:
-        evaluate = bind(law.ready_step, [*measured, memory, sent, age], [u, V, after])
+    after, see = np.zeros_like(memory), bind(plant.robot.to_velocity, [x], [velocity])
+    kept, found = ([], []) if isinstance(law, StaticLaw) else ([memory, sent, age], [after])
+    evaluate = bind(law.function, [x[: len(velocity)], velocity, now, gains, *kept], [u, V, *found])
 
     def evaluate_law(jets: Array, dt: float) -> None:
         now[...], sent[...], age[...] = jets, u, dt
@@ -188,7 +185,7 @@ def _continuous(plant: Plant, law: StaticLaw, reference: Reference, x0: Array, t
             raise _diverged(t[k + 1 + int(np.argmin(np.isfinite(found).all(axis=1)))])
     (velocity,) = evaluate_rows(plant.robot.to_velocity, run.x)
     measured = run.x[:, : velocity.shape[1]], velocity, run.jets
-    run.u[:], V = evaluate_rows(law.measured_function, *measured, np.tile(law.gain_values, (len(t), 1)))
+    run.u[:], V = evaluate_rows(law.function, *measured, np.tile(law.gain_values, (len(t), 1)))
     run.V[:] = V[:, 0]
     return run
 
@@ -199,7 +196,7 @@ def _closed_loop_step(plant: Plant, law: StaticLaw, dt: float) -> ca.Function:
     x, *stages = ca.MX.sym("x", 4 * n), *(ca.MX.sym(name, n, JETS) for name in ("start", "middle", "end"))
 
     def f(x: ca.MX, jets: ca.MX) -> ca.MX:
-        return plant.dynamics(x, law.measured_function(x[: 2 * n], plant.robot.to_velocity(x), jets, gains)[0])
+        return plant.dynamics(x, law.function(x[: 2 * n], plant.robot.to_velocity(x), jets, gains)[0])
 
     inputs = {"x": x, **{each.name(): each for each in stages}}
     return dense_function("closed_loop_step", inputs, {"x_next": rk4_expression(f, x, tuple(stages), dt)})

@@ -46,7 +46,7 @@ class Baseline(StaticLaw):
         """Return u (n,) [N m] and V [J] (nan without a storage) in the symbols of the flow f at x_v = x and gains g."""
 
     def measured_expressions(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """Return the arguments of measured_function, and expressions of u and V."""
+        """Return the arguments of `function`, and expressions of u and V."""
         f = flow(self.robot, diagonal=True)
         u, V = self.expressions(f, SimpleNamespace(**self.symbols.by_name))
         return self.at_measured(f, {"u": u, "V": V})
