@@ -146,9 +146,9 @@ def test_jacobian_of_the_law_is_its_closed_form_at_equilibrium() -> None:
         loop = linearize(law, sample_configurations(law.robot, 5))
         rest = equilibria_at(law.robot, loop.configurations)
         closed = closed_form(rest, law.gains)
-        for name in ("A", "B", "F"):
-            expected = getattr(closed, name)
-            np.testing.assert_allclose(getattr(loop, name), expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+        pairs = ((loop.A, closed.A), (loop.B, closed.B), (loop.law(1e-3).F, closed.law(1e-3).F))
+        for found, expected in pairs:
+            np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
 
 
 def test_plant_matrices_are_the_jacobian_of_the_dynamics_at_equilibrium() -> None:
@@ -165,7 +165,7 @@ def test_loop_in_error_coordinates_contracts_at_the_rate_before_sampling() -> No
     for law in laws():
         q_l = sample_configurations(law.robot, 6)
         loop = linearize(law, q_l)
-        generator = loop.A + loop.B @ loop.F
+        generator = loop.A + loop.B @ loop.law(1e-3).F
         fastest = np.linalg.eigvalsh((generator + np.swapaxes(generator, 1, 2)) / 2).max()
         assert -fastest == pytest.approx(law.rate(q_l).beta, rel=1e-6)
 
@@ -173,7 +173,7 @@ def test_loop_in_error_coordinates_contracts_at_the_rate_before_sampling() -> No
 def test_radius_tends_to_the_continuous_loop() -> None:
     for law in small_laws():
         loop = linearize(law, sample_configurations(law.robot, 3))
-        continuous = np.linalg.eigvals(loop.A + loop.B @ loop.F).real.max(axis=1)
+        continuous = np.linalg.eigvals(loop.A + loop.B @ loop.law(1e-3).F).real.max(axis=1)
         for period in (1e-4, 1e-5):
             np.testing.assert_allclose(np.log(loop.radii(period)) / period, continuous, rtol=4e3 * period)
 

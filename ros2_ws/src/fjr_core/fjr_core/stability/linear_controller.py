@@ -93,11 +93,12 @@ class Sensing:
         return seen
 
 
-def static(F: Array) -> Controller:
-    """Return a controller without state: u = F y."""
+def static(F: Array) -> At:
+    """Return a controller without state, u = F y, the same at every sample period."""
     k, n, N = F.shape
     empty = np.zeros((k, n, 0))
-    return Controller(F, empty, np.zeros((k, n, n)), np.zeros((k, 0, N)), np.zeros((k, 0, 0)), np.zeros((k, 0, n)))
+    law = Controller(F, empty, np.zeros((k, n, n)), np.zeros((k, 0, N)), np.zeros((k, 0, 0)), np.zeros((k, 0, n)))
+    return lambda _period: law
 
 
 def controller(law: SampledLaw, equilibria: Equilibria, sensing: Sensing) -> At:
@@ -111,7 +112,7 @@ def controller(law: SampledLaw, equilibria: Equilibria, sensing: Sensing) -> At:
 
     @lru_cache(maxsize=2)
     def at(T: float) -> Controller:
-        measuring = _linearised(law, equilibria, T) if alone is None else alone
+        measuring = _linearised(law, equilibria, T) if alone is None else alone(T)
         return measuring if sensing.bandwidth is None else _behind_observer(measuring, equilibria, sensing.bandwidth, T)
 
     return at

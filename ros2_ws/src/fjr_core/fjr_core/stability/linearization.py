@@ -49,7 +49,7 @@ def linearize(
     F = np.array([slope_at_rest(law, q, robot)[0] for q in q_l])
     if isinstance(law, TrackingLaw):
         return _in_error_coordinates(own, law.gains, real, F)
-    return SampledLoop(q_l, *plant_in_velocities(real), F)
+    return SampledLoop(q_l, *plant_in_velocities(real), static(F))
 
 
 def closed_form(own: Equilibria, gains: CheckedGains, real: Equilibria | None = None) -> SampledLoop:
@@ -66,14 +66,14 @@ def _in_error_coordinates(own: Equilibria, gains: CheckedGains, real: Equilibria
     A, B = plant_in_velocities(real)
     S = metric_roots(own, gains) @ error_matrices(own, gains) @ momentum_matrix(own)
     S_inverse = np.linalg.inv(S)
-    return SampledLoop(own.q_l, S @ A @ S_inverse, S @ B, F @ S_inverse)
+    return SampledLoop(own.q_l, S @ A @ S_inverse, S @ B, static(F @ S_inverse))
 
 
 def on_plant(at: At, own: Equilibria, real: Equilibria, sensing: Sensing) -> SampledLoop:
     """Return the loop of a linearised controller on the real plant; z is (q_l, q_m, dq_l, dq_m)."""
     A, B = plant_in_velocities(real)
     seen = sensing.measured(own.robot, real.K)
-    return SampledLoop(own.q_l, A, B, np.swapaxes(B, 1, 2), at if seen is None else lambda T: at(T).seeing(seen))
+    return SampledLoop(own.q_l, A, B, at if seen is None else lambda T: at(T).seeing(seen))
 
 
 def loop_configurations(law: SampledLaw, configurations: ArrayLike | None) -> Array:
@@ -92,16 +92,14 @@ AT_ONCE = 32  # configurations whose matrices fit into a processor's cache
 class SampledLoop:
     """Plant and controller linearised at k equilibria: dz/dt = A z + B u in continuous time.
 
-    configurations (k, n) [rad], A (k, 4n, 4n), B (k, 4n, n). F (k, n, 4n): law u = F z of a static loop, with
-    z = P^(1/2) (q_tilde_l, q_tilde_m, sigma_l, sigma_m), so that V = |z|^2 / 2. with_state: controller with a state as
-    a function of the sample period [s]; z is then (q_l, q_m, dq_l, dq_m) and F is not used.
+    configurations (k, n) [rad], A (k, 4n, 4n), B (k, 4n, n). law: of the sample period [s].
+    z is (q_l, q_m, dq_l, dq_m), for v-dPBC alone P^(1/2) (q_tilde_l, q_tilde_m, sigma_l, sigma_m): V = |z|^2 / 2.
     """
 
     configurations: Array
     A: Array
     B: Array
-    F: Array
-    with_state: At | None = None
+    law: At
     _held: dict[float, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
     def critical(self, sample_period: float, delay: float, most: int) -> Indices:
@@ -123,8 +121,7 @@ class SampledLoop:
 
     def one_sample_map(self, sample_period: float, delay: float = 0.0) -> Array:
         """Return the map (k, N, N) of (z, controller state, delayed efforts) from one sample to the next."""
-        T, (whole, late) = sample_period, split(delay, sample_period)
-        law = static(self.F) if self.with_state is None else self.with_state(T)
+        T, (whole, late), law = sample_period, split(delay, sample_period), self.law(sample_period)
         Phi, Gamma = self.held_map((1 - late) * T)
         if not late:
             return map_of_held(Phi, {whole: Gamma}, law)
@@ -133,9 +130,9 @@ class SampledLoop:
 
     def at(self, indices: Indices) -> SampledLoop:
         """Return the loop at the selected configurations."""
-        whole = self.with_state
-        part = None if whole is None else lambda T: whole(T).at(indices)
-        return SampledLoop(self.configurations[indices], self.A[indices], self.B[indices], self.F[indices], part)
+        whole = self.law
+        parts = self.configurations[indices], self.A[indices], self.B[indices]
+        return SampledLoop(*parts, lambda T: whole(T).at(indices))
 
     def held_map(self, T: float) -> tuple[Array, Array]:
         """Return Phi (k, 4n, 4n) and Gamma (k, 4n, n): z(t + T) = Phi z(t) + Gamma u with u held."""

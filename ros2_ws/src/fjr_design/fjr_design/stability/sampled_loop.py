@@ -185,7 +185,7 @@ def _checked(
 
 def _unstable(everywhere: SampledLoop, found: SampledCheck) -> Indices:
     """Return the worst configurations that are unstable just within the margins found."""
-    T, (_, n, states) = found.sample_period, everywhere.F.shape
+    T, (_, states, n) = found.sample_period, everywhere.B.shape
     late = min(found.delay_margin - WITHIN, (MOST_STATES - states) // n)
     loops = [(T, late * T)] if late > 0 else []
     if found.lowest_stable_rate is not None:

@@ -26,7 +26,7 @@ from fjr_core.law.vdpbc import TrackingLaw
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import momentum_matrix
-from fjr_core.stability.linearization import SampledLoop
+from fjr_core.stability.linearization import held_maps
 from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen
 from fjr_monitor.diagnosis.record import Innovations, blocks_of
 
@@ -220,7 +220,7 @@ def closed_loop(law: TrackingLaw, configurations: Array, period: float) -> Array
     momenta = momentum_matrix(equilibria)
     A, B = plant_matrices(equilibria)
     F = feedback(equilibria, law.gains)
-    Phi, Gamma = SampledLoop(configurations, A, B, F).held_map(period)
+    Phi, Gamma = held_maps(A, B, period)
     return np.asarray(np.linalg.solve(momenta, (Phi + Gamma @ F) @ momenta))
 
 

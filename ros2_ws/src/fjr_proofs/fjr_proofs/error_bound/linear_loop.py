@@ -184,7 +184,7 @@ class LinearLoop:
             first, Gamma_late = held_maps(self.A, by_effort, fraction * T)
             held[whole + 1] = Phi @ Gamma_late
             Phi = Phi @ first
-        loop = map_of_held(Phi, held, static(self.law))
+        loop = map_of_held(Phi, held, static(self.law)(T))
         c, S = loop.shape[:2]
 
         def padded(rows: Array) -> Array:
