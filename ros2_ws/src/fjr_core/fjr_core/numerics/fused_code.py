@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -137,36 +137,34 @@ def _line(operations: Sequence[_Operation], k: int) -> str:
 def _in_parts(name: str, parameters: str, operations: Sequence[_Operation], parts: Sequence[Sequence[int]]) -> str:
     """Return the C code of a function in parts.
 
-    A part loads a value from the array b before it first reads it; a place in b is free again after the last part that
-    reads it. Inputs and constants are not kept, but read again.
+    A value that a later part reads has a place in the array b, from which that part loads it before its first use.
+    Inputs and constants have none: they are read again.
     """
     last = {operand: i for i, part in enumerate(parts) for k in part for operand in operations[k].operands}
     places: dict[int, int] = {}
-    free, released, size = list[int](), defaultdict[int, list[int]](list), 0
     lines = []
     for i, part in enumerate(parts):
-        free += released[i]
         known: set[int] = set()
         lines.append(f"static __attribute__((noinline)) void {name}_part{i}({_ARRAYS}) {{")
         for k in part:
             for operand in operations[k].operands:
                 if operand not in known:
                     known.add(operand)
-                    kept = operations[operand].operands
-                    load = f"  const casadi_real t{operand}=b[{places[operand]}];" if kept else ""
+                    load = f"  const casadi_real t{operand}=b[{places[operand]}];" if operand in places else ""
                     lines.append(load or _line(operations, operand))
-            if not operations[k].operands:  # written where it is read
-                continue
-            known.add(k)
-            lines.append(_line(operations, k))
-            if last.get(k, i) > i:
-                if not free:
-                    free.append(size)
-                    size += 1
-                places[k] = free.pop()
-                released[last[k] + 1].append(places[k])
-                lines.append(f"  b[{places[k]}]=t{k};")
+            if operations[k].operands:  # others are written where they are read
+                known.add(k)
+                lines.append(_line(operations, k))
+                if last.get(k, i) > i:
+                    places[k] = len(places)
+                    lines.append(f"  b[{places[k]}]=t{k};")
         lines.append("}")
     calls = [f"  {name}_part{i}(arg, res, b);" for i in range(len(parts))]
-    lines += [f"static int {name}({parameters}) {{", f"  casadi_real b[{max(1, size)}];", *calls, "  return 0;", "}"]
+    lines += [
+        f"static int {name}({parameters}) {{",
+        f"  casadi_real b[{max(1, len(places))}];",
+        *calls,
+        "  return 0;",
+        "}",
+    ]
     return "\n".join([*lines, ""])
