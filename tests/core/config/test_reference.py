@@ -89,11 +89,11 @@ BAD: dict[str, tuple[int, dict[str, Any], tuple[str, ...]]] = {
     "type": (2, {"type": "square"}, ("reference.type", "square", "multi_sine", "hold")),
     "amplitude": (2, {"amplitude": (1.0,)}, ("reference.amplitude", "length 1", "2")),
     "rows": (2, {"type": "multi_sine", "multi_sine.phase": (1.0,) * 3}, ("multi_sine.phase", "3", "multiple of 2")),
-    "counts": (2, {"type": "multi_sine", "multi_sine.phase": (1.0,) * 4}, ("multi_sine", "2, 2 and 4", "equally many")),
+    "counts": (2, {"type": "multi_sine", "multi_sine.phase": (1.0,) * 4}, ("multi_sine.phase", "(2, 2)", "(1, 2)")),
     "goal": (2, {"type": "point_to_point", "point_to_point.goal": (1.0,)}, ("point_to_point.goal", "length 1")),
     "duration": (2, {"point_to_point.duration": 0.0}, ("point_to_point.duration", "0.0 s", "at least")),
     "dwell": (2, {"point_to_point.dwell": -1.0}, ("point_to_point.dwell", "-1.0 s", "at least 0.0")),
-    "circle": (1, {"type": "circle"}, ("reference.type", "circle", "1 joint", "2 joints")),
+    "circle": (1, {"type": "circle"}, ("reference.offset", "centre has 1 entry", "2 or more", "circle")),
 }
 
 

@@ -18,7 +18,7 @@ from ..motions.point_to_point import Circle, Hold, PointToPoint
 from ..motions.reference import Reference
 from ..motions.sine import MultiSine, Sine
 from ..numerics.parameter_field import declared
-from .parameter import VECTOR, Parameter, Values, names, read
+from .parameter import VECTOR, Parameter, Values, named, names, read
 
 if TYPE_CHECKING:
     from ..motions.spline import SampledMotion
@@ -125,16 +125,7 @@ def reference(values: Values, n: int) -> Reference:
     """Return the reference trajectory of the values for n joints; raises ParameterError."""
     kind = str(values[_TYPE.name])
     build, declared = _TYPES[kind]
-    if kind == "circle" and n < 2:
-        raise ParameterError(f"parameter '{_TYPE.name}' is 'circle' for 1 joint; expected 2 joints or more")
     arguments = read(declared, values, n)
-    if kind == "multi_sine":
-        sizes = [arguments[name].size for name in ("amplitude", "frequency", "phase")]
-        if len(set(sizes)) > 1:
-            raise ParameterError(
-                f"parameters 'reference.multi_sine.*' have lengths {sizes[0]}, {sizes[1]} and {sizes[2]} "
-                "for amplitude, frequency and phase; expected equally many"
-            )
     if kind == "file":
         arguments["joints"] = names(values, "joints")
-    return build(**arguments)
+    return named(lambda symbol: declared[symbol].name if symbol in declared else _TYPE.name, lambda: build(**arguments))
