@@ -308,7 +308,7 @@ def errors_of(
 ) -> tuple[Imperfections, SensorErrors, tuple[ChannelErrors, ChannelErrors, float]]:
     """Return the errors of motion, sensors, and messages (of states, commands, sample times); raises ParameterError."""
     messages = (*channel_errors(values), period_jitter(values))
-    return build_imperfections(values, robot), sensor_errors(values, robot.n), messages
+    return build_imperfections(values, robot.n), sensor_errors(values, robot.n), messages
 
 
 def simulated(values: Mapping[str, Any], plant: Plant, x0: Array) -> tuple[SimulatedRobot, Transport]:

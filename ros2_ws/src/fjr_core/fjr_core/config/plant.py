@@ -196,14 +196,9 @@ def imperfection_parameters(n: int) -> list[Parameter]:
     return [*table(_DYNAMICS, n), *table(_SENSORS, n), *table(channels, n), PERIOD_JITTER, SEED]
 
 
-def imperfections(values: Values, robot: Robot) -> Imperfections:
-    """Return the imperfections of the robot's dynamics; raises ParameterError."""
-    mass = _DYNAMICS["payload_mass"].name
-    if robot.links.end_effector is None and values[mass]:
-        raise ParameterError(
-            f"parameter '{mass}' is {values[mass]} kg; expected 0: the robot model has no end effector"
-        )
-    return Imperfections(robot.n, **read(_DYNAMICS, values, robot.n))
+def imperfections(values: Values, n: int) -> Imperfections:
+    """Return the imperfections of the dynamics of n joints; raises ParameterError."""
+    return Imperfections(n, **read(_DYNAMICS, values, n))
 
 
 def sensor_errors(values: Values, n: int) -> SensorErrors:

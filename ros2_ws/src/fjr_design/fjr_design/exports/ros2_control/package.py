@@ -155,8 +155,8 @@ def parameters_of(scenario: Scenario) -> dict[str, object]:
 
     Names are without the group. Raises ParameterError.
     """
-    values, robot, n = scenario.plant_values, scenario.plant.robot, scenario.plant.robot.n
-    _ = build_imperfections(values, robot), sensor_errors(values, n)
+    values, n = scenario.plant_values, scenario.plant.robot.n
+    _ = build_imperfections(values, n), sensor_errors(values, n)
     return {
         "initial_link_position": tuple(scenario.x0[:n].tolist()),
         "initial_motor_position": tuple(scenario.x0[n : 2 * n].tolist()),
