@@ -96,10 +96,6 @@ class Certificate:
         ):
             if value.shape != shape:
                 raise StateError(f"{name} has shape {value.shape}; expected {shape}")
-        if not k:
-            nothing = np.zeros(0)
-            efforts, slopes = np.zeros((0, n)), np.zeros((0, 4 * n))
-            return CertificateSeries(*(nothing,) * 5, u_law=efforts, slope=slopes, drive=efforts, dissipation=nothing)
         found = evaluate_rows(self.function, position, velocity, jets, np.tile(self.law.gain_values, (k, 1)))
         V, H, dissipation, dissipated, u_law, drive, slope = found
         u = np.where(np.isnan(u), u_law, u)

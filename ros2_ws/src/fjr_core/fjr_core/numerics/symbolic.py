@@ -102,7 +102,8 @@ def evaluate_rows(function: ca.Function, *arguments: ArrayLike) -> list[Array]:
     """Return the dense outputs (k, size) of a function at k rows of its arguments (k, size), all column-major."""
     given = [np.ascontiguousarray(rows, dtype=float) for rows in arguments]  # a call would convert them one by one
     found = [np.empty((len(given[0]), function.numel_out(i))) for i in range(function.n_out())]
-    bind(function.map(len(given[0])), given, found)()
+    if len(given[0]):
+        bind(function.map(len(given[0])), given, found)()
     return found
 
 

@@ -86,7 +86,6 @@ def constant(name: str) -> float:
 
 def settings_struct(library: CLibrary, settings: Settings, law: SampledLaw) -> Any:
     """Return struct fjr_settings: limits and durations of the settings, B_m and K_md of the law's robot."""
-    struct = library.ffi.new("struct fjr_settings *")
     magnitudes = [np.asarray(getattr(settings, name)) for name in LIMITED]
     upper = [settings.link_position_upper, settings.motor_position_upper, *magnitudes]
     lower = [settings.link_position_lower, settings.motor_position_lower, *(-size for size in magnitudes)]
@@ -100,15 +99,13 @@ def settings_struct(library: CLibrary, settings: Settings, law: SampledLaw) -> A
         "B_inverse": np.linalg.inv(law.robot.B_m),
         "hold_damping": law.hold_damping,
     }
-    for name, array in arrays.items():
-        setattr(struct, name, np.ravel(array).tolist())
-    for name in ("ramp_time", "start_join_time", "recovery_join_time", "recovery_longest_gap", "hold_deceleration"):
-        setattr(struct, name, getattr(settings, name))
-    struct.state_timeout = round(settings.state_timeout * 1e9)
-    struct.gravity_hold = settings.on_stop == GRAVITY_HOLD
-    struct.wiring_check = settings.wiring_check
-    struct.on_contact = REACTIONS.index(settings.on_contact)
-    return struct
+    numbers = ("ramp_time", "start_join_time", "recovery_join_time", "recovery_longest_gap", "hold_deceleration")
+    values: dict[str, Any] = {name: np.ravel(array).tolist() for name, array in arrays.items()}
+    values |= {name: getattr(settings, name) for name in (*numbers, "wiring_check")}
+    values["state_timeout"] = round(settings.state_timeout * 1e9)
+    values["gravity_hold"] = settings.on_stop == GRAVITY_HOLD
+    values["on_contact"] = REACTIONS.index(settings.on_contact)
+    return library.ffi.new("struct fjr_settings *", values)
 
 
 class Model:
