@@ -128,13 +128,13 @@ def kept(name: str, make: Callable[[], bytes]) -> Path:
 
 
 def _ensured(file: Path, make: Callable[[], bytes]) -> Path:
-    if not is_intact(file):
-        with open(
-            os.open(file.with_name(f"{file.name}.lock"), os.O_RDWR | os.O_CREAT | _FILE, FILE_MODE), "r+b"
-        ) as held:
-            fcntl.flock(held, fcntl.LOCK_EX)
-            if not is_intact(file):
-                write(file, make())
+    if is_intact(file):
+        return file
+    lock = os.open(file.with_name(f"{file.name}.lock"), os.O_RDWR | os.O_CREAT | _FILE, FILE_MODE)
+    with open(lock, "r+b") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        if not is_intact(file):
+            write(file, make())
     return file
 
 
