@@ -95,7 +95,7 @@ def motion_bounds_on(jets: Callable[[Array], Array], grid: Array) -> MotionBound
     """
     for _ in range(_REFINEMENTS):
         rows = jets(grid)[:, 2:]
-        interval, row, joint = np.nonzero(rows[:-1] * rows[1:] < 0)
+        interval, row, joint = np.nonzero(_changes_sign(rows))
         zeros = _secant(grid, interval, rows[interval, row, joint], rows[interval + 1, row, joint])
         grid = np.union1d(grid, zeros)
     samples = jets(grid)
@@ -103,7 +103,7 @@ def motion_bounds_on(jets: Callable[[Array], Array], grid: Array) -> MotionBound
     reach = np.maximum(np.abs(slope[:-1]), np.abs(slope[1:])) * np.diff(grid)[:, None, None]
     high, low = np.maximum(value[:-1], value[1:]) + reach, np.minimum(value[:-1], value[1:]) - reach
     may_exceed = (high > value.max(axis=0)) | (low < value.min(axis=0))
-    interval, row, joint = np.nonzero((slope[:-1] * slope[1:] < 0) & may_exceed)
+    interval, row, joint = np.nonzero(_changes_sign(slope) & may_exceed)
     roots = _roots(jets, grid, slope, interval, row, joint)
     t, values = np.tile(grid[:, None, None], (2, *value.shape[1:])), np.concatenate([value, value])
     t[interval, row, joint] = roots
@@ -111,6 +111,11 @@ def motion_bounds_on(jets: Callable[[Array], Array], grid: Array) -> MotionBound
     lowest, highest = values.argmin(axis=0)[None], values.argmax(axis=0)[None]
     chosen = ((values, lowest), (values, highest), (t, lowest), (t, highest))
     return MotionBounds(*(np.take_along_axis(array, at, axis=0)[0] for array, at in chosen))
+
+
+def _changes_sign(rows: Array) -> NDArray[np.bool_]:
+    """Return where numbers (k, ..) change their sign from one row to the next (k - 1, ..); products may overflow."""
+    return np.sign(rows[:-1]) * np.sign(rows[1:]) < 0
 
 
 def _secant(grid: Array, interval: Indices, first: Array, last: Array) -> Array:
@@ -129,7 +134,7 @@ def _roots(
     for _ in range(_NEWTON_STEPS):
         found = jets(t)
         f, df = found[each, row + 1, joint], found[each, row + 2, joint]
-        before = f * first > 0
+        before = np.sign(f) == np.sign(first)
         left, right = np.where(before, t, left), np.where(before, right, t)
         t = t - np.divide(f, df, out=np.full_like(f, np.inf), where=df != 0)
         t = np.where((left <= t) & (t <= right), t, (left + right) / 2)
