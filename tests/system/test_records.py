@@ -31,7 +31,7 @@ from fjr_identification.estimation.parameters import IdentifyOptions, Prior
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.page import fit_plots
 from fjr_identification.records.missing_sensors import lacking
-from fjr_identification.records.reading import Reading, TimeWindow, read_record, record_of_table
+from fjr_identification.records.reading import Reading, read_record, record_of_table
 from fjr_identification.records.record_map import EFFORT, FILL_IN, LINK, MOTOR, TORQUE, TableMap, read_map, written_map
 from fjr_identification.records.rigid_motion import KINDS
 from nodes.harness import nanoseconds
@@ -59,7 +59,7 @@ def reading() -> Reading:
 def both(reading: Reading) -> list[MotionRecord]:
     """Return the two records of the real robot, unchecked."""
     files = (EXAMPLE / f"record_{name}.csv.gz" for name in "ab")
-    return [record_of_table(file, reading.mapping, AXES, TimeWindow())[0] for file in files]
+    return [record_of_table(file, reading.mapping, AXES)[0] for file in files]
 
 
 @pytest.mark.parametrize("name", ["record_a", pytest.param("record_b", marks=pytest.mark.full)])
@@ -122,14 +122,14 @@ def test_parquet_other_units_signs_and_names_give_the_same_record(both: list[Mot
         "effort: {column: [u1, u2, u3, u4, u5, u6], unit: mN m,\n"
         "  gear_ratio: [256.86, 267.43, 252.33, 221, 239.62, 154.32]}\n"
     )
-    found, _ = record_of_table(tmp_path / "a.parquet", read_map(tmp_path / "map.yaml", AXES), AXES, TimeWindow())
+    found, _ = record_of_table(tmp_path / "a.parquet", read_map(tmp_path / "map.yaml", AXES), AXES)
     for name in ("u", "q_l", "q_m"):
         assert getattr(found, name) == pytest.approx(getattr(whole, name), rel=1e-9, abs=1e-12, nan_ok=True)
 
 
 def test_part_of_a_table_is_the_same_rows(reading: Reading, both: list[MotionRecord]) -> None:
     whole = both[0]
-    part, _ = record_of_table(EXAMPLE / "record_a.csv.gz", reading.mapping, AXES, TimeWindow(1.998, 3.0))
+    part, _ = record_of_table(EXAMPLE / "record_a.csv.gz", reading.mapping, AXES, Reading(None, 1.998, 3.0))
     assert part.u.shape == (750, 6)
     assert np.array_equal(part.q_m, whole.q_m[500:1250])
 
@@ -333,7 +333,7 @@ def test_table_of_a_run_is_the_same_record_as_its_bag(run: Path, scenario: Scena
 def test_a_part_of_a_bag_counts_from_the_first_command_however_late_it_is(
     run: Path, scenario: Scenario, whole: MotionRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"{read_record.__module__}.MESSAGES", 100)
+    monkeypatch.setattr(f"{read_record.__module__}.PART", 100)
     begin = 2.2  # s
     states = rewritten(run / "bag", tmp_path / "late", change=without_commands_before(begin))
     late, _ = read_record(states, scenario.joints, scenario.robot, Reading(None, 0.1, 0.3, KINDS))

@@ -7,9 +7,10 @@ Tables are CSV (also compressed) or Parquet. Memory grows with the numbers that 
 from __future__ import annotations
 
 import csv
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +18,10 @@ from fjr_core.config.scenario import load_scenario
 from fjr_core.errors import LONGEST, RecordError
 from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.bag import FLOATS, STATES, Bag, read_bag
-from fjr_monitor.recording.files import BagError, Times
-from fjr_monitor.recording.signals import ANSWERS, EFFORTS, first_of_each_stamp, match_stamps
-from fjr_msgs_py.names import motor_name, state_names
+from fjr_monitor.diagnosis.record import PART, held_efforts
+from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.recording.signals import ANSWERS, EFFORTS, RunSignals
+from fjr_msgs_py.names import motor_name
 
 from ..estimation.motion_record import MotionRecord, record_of_samples
 from . import record_map
@@ -29,39 +30,7 @@ from .checks import findings
 TABLES = (".csv", ".csv.gz", ".txt", ".tsv", record_map.PARQUET)
 SCENARIO = "scenario.yaml"
 LARGEST = 2 * 10**7  # numbers of a record in memory
-BYTES, MESSAGES = 2**22, 4096  # of a CSV file, of states in a bag, that are read together
-Rows = tuple[Times, Times, Array]
-"""Stamps and send times (k,) [ns] of k messages, and their numbers (k, width): positions, then efforts."""
-
-
-@dataclass
-class TimeWindow:
-    """Part of a record: from `start` [s] after its first sample for `duration` [s]. ended: nothing more follows."""
-
-    start: float = 0.0
-    duration: float = np.inf
-    ended: bool = field(default=False, init=False)
-    _first: float | None = field(default=None, init=False)
-    _count: int = field(default=0, init=False)
-
-    @property
-    def text(self) -> str:
-        """Return the window for a message; empty if it is everything."""
-        return "" if self.start == 0 and np.isinf(self.duration) else f" from {self.start:g} s for {self.duration:g} s"
-
-    def of(self, t: Array, block: Array) -> Array:
-        """Return the rows of a block with the times t [s] that are in the window; raise RecordError if too many are."""
-        self._first = float(t[0]) if self._first is None and len(t) else self._first
-        since = t - (self._first or 0.0)
-        end = int(np.argmax(np.append(since >= self.start + self.duration, True)))
-        self.ended = end < len(t)
-        rows = np.asarray(block[:end][(since[:end] >= self.start) | (since[:end] < 0)])  # back in time: refused later
-        self._count += rows.size
-        if self._count > LARGEST:
-            raise RecordError(
-                f"the record holds more than {LARGEST:,} numbers; expected fewer: choose a --start and a --duration"
-            )
-        return rows
+BYTES = 2**22  # of a CSV file that are read together
 
 
 @dataclass(frozen=True)
@@ -76,6 +45,29 @@ class Reading:
     duration: float = np.inf
     accepted: Collection[str] = ()
 
+    def part(self, path: Path, blocks: Iterable[Array]) -> Array:
+        """Return the rows of blocks (k, m) that are used; the first column is the time [s].
+
+        Raises RecordError, which names the file, if there is none, or if there are too many.
+        """
+        kept: list[Array] = []
+        first, count = None, 0
+        for block in blocks:
+            first = block[0, 0] if first is None and len(block) else first
+            since = block[:, 0] - (first or 0.0)
+            end = int(np.argmax(np.append(since >= self.start + self.duration, True)))
+            kept.append(block[:end][(since[:end] >= self.start) | (since[:end] < 0)])  # back in time: refused later
+            count += kept[-1].size
+            if count > LARGEST:
+                raise RecordError(f"{path} holds more than {LARGEST:,} numbers; expected fewer: --start, --duration")
+            if end < len(block):
+                break
+        if not any(map(len, kept)):
+            everything = self.start == 0 and np.isinf(self.duration)
+            part = "" if everything else f" from {self.start:g} s for {self.duration:g} s"
+            raise RecordError(f"{path} holds no samples{part}; expected a record of motion")
+        return np.concatenate(kept)
+
 
 def read_record(
     path: Path, joints: tuple[str, ...], robot: Robot, reading: Reading
@@ -84,24 +76,25 @@ def read_record(
 
     Raises RecordError, which names the file, for a record that contradicts itself or the robot; BagError.
     """
-    window = TimeWindow(reading.start, reading.duration)
     if path.name.endswith(TABLES):
         if not isinstance(reading.mapping, record_map.TableMap):
             raise RecordError(
                 f"{path} is a table; expected --map FILE with its columns and units (--write-map makes one)"
             )
-        record, notes = record_of_table(path, reading.mapping, joints, window)
+        record, notes = record_of_table(path, reading.mapping, joints, reading)
     else:
-        record, notes = record_of_bag(path, _bag_map(path, reading, joints, robot), joints, window)
+        record, notes = record_of_bag(path, _bag_map(path, reading.mapping, joints), joints, reading)
     return record, (*notes, *_checked(path, record, robot, reading.accepted))
 
 
-def _bag_map(path: Path, reading: Reading, joints: tuple[str, ...], robot: Robot) -> record_map.BagMap:
+def _bag_map(
+    path: Path, given: record_map.TableMap | record_map.BagMap | None, joints: tuple[str, ...]
+) -> record_map.BagMap:
     """Return the mapping of a bag: of the mapping file, else of the scenario of the run, else the usual one."""
-    if isinstance(reading.mapping, record_map.TableMap):
+    if isinstance(given, record_map.TableMap):
         raise RecordError(f"{path} is a bag and the mapping file has columns; expected one with 'bag'")
-    if reading.mapping is not None:
-        return reading.mapping
+    if given is not None:
+        return given
     run = next((folder for folder in (path, *path.resolve().parents[:2]) if (folder / SCENARIO).is_file()), None)
     if run is None:
         return record_map.BagMap(np.ones(len(joints)))
@@ -126,28 +119,14 @@ def _checked(path: Path, record: MotionRecord, robot: Robot, accepted: Collectio
 
 
 def record_of_table(
-    path: Path, mapping: record_map.TableMap, joints: tuple[str, ...], window: TimeWindow
+    path: Path, mapping: record_map.TableMap, joints: tuple[str, ...], reading: Reading = Reading()
 ) -> tuple[MotionRecord, tuple[str, ...]]:
-    """Return the record of a table within the window, and notes on it.
+    """Return the record of the part of a table that is used, and notes on it.
 
     Raises RecordError, which names the file, row and column, and MissingPackageError.
     """
-    names, rows, pa = mapping.columns, 0, record_map.arrow()
-    blocks: list[Array] = []
-    try:
-        for block in _blocks(path, names, mapping.delimiter):
-            _check_finite(path, names, block, rows)
-            rows += len(block)
-            block[:, 0] *= mapping.time.factor
-            blocks += [kept] if len(kept := window.of(block[:, 0], block)) else []
-            if window.ended:
-                break
-    except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
-        text = " ".join(str(error).split())[: LONGEST // 4]
-        raise RecordError(f"{path} is not a table of numbers ({text}); expected CSV with points, or Parquet") from None
-    if not blocks:
-        raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
-    values = np.concatenate(blocks)
+    names = mapping.columns
+    values = reading.part(path, _blocks(path, mapping))
     signals = {name: np.full((len(values), len(joints)), np.nan) for name in record_map.UNITS}
     for name, columns in mapping.signals.items():
         for joint, column in columns.items():
@@ -155,24 +134,38 @@ def record_of_table(
     return record_of_samples(path.name, joints, values[:, 0], list(signals.values()), mapping.held)
 
 
-def _blocks(path: Path, names: list[str], delimiter: str) -> Iterator[Array]:
-    """Yield the named columns (rows, columns) of a table block by block."""
+def _blocks(path: Path, mapping: record_map.TableMap) -> Iterator[Array]:
+    """Yield the columns of a mapping (rows, columns), the time in s first, of a table block by block."""
+    pa, names, rows = record_map.arrow(), mapping.columns, 0
+    try:
+        for batch in _batches(path, names, mapping.delimiter):
+            columns = [batch[name].to_numpy(zero_copy_only=False) for name in names]
+            block = np.column_stack([np.asarray(column, dtype=float) for column in columns])
+            _check_finite(path, names, block, rows)
+            rows += len(block)
+            block[:, 0] *= mapping.time.factor
+            yield block
+    except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
+        text = " ".join(str(error).split())[: LONGEST // 4]
+        raise RecordError(f"{path} is not a table of numbers ({text}); expected CSV with points, or Parquet") from None
+
+
+def _batches(path: Path, names: list[str], delimiter: str) -> Iterator[Any]:
+    """Return the record batches of a table with the named columns; raises RecordError."""
     pa = record_map.arrow()
     if path.name.endswith(record_map.PARQUET):
         file = pa.parquet.ParquetFile(path)
         _check_header(path, file.schema_arrow.names, names)
-        batches = file.iter_batches(columns=names, batch_size=2**16)
-    else:
-        skipped, header = record_map.header_of(path, delimiter)
-        _check_header(path, header, names)
-        batches = pa.csv.open_csv(
-            pa.input_stream(str(path), compression="detect"),
-            pa.csv.ReadOptions(block_size=BYTES, skip_rows=skipped + 1, column_names=header),
-            pa.csv.ParseOptions(delimiter=delimiter),
-            pa.csv.ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, pa.float64())),
-        )
-    for batch in batches:
-        yield np.column_stack([np.asarray(batch[name].to_numpy(zero_copy_only=False), dtype=float) for name in names])
+        return iter(file.iter_batches(columns=names, batch_size=2**16))
+    skipped, header = record_map.header_of(path, delimiter)
+    _check_header(path, header, names)
+    batches = pa.csv.open_csv(
+        pa.input_stream(str(path), compression="detect"),
+        pa.csv.ReadOptions(block_size=BYTES, skip_rows=skipped + 1, column_names=header),
+        pa.csv.ParseOptions(delimiter=delimiter),
+        pa.csv.ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, pa.float64())),
+    )
+    return iter(batches)
 
 
 def _check_header(path: Path, header: list[str], names: list[str]) -> None:
@@ -196,84 +189,44 @@ def _check_finite(path: Path, names: list[str], block: Array, before: int) -> No
 
 
 def record_of_bag(
-    path: Path, mapping: record_map.BagMap, joints: tuple[str, ...], window: TimeWindow
+    path: Path, mapping: record_map.BagMap, joints: tuple[str, ...], reading: Reading = Reading()
 ) -> tuple[MotionRecord, tuple[str, ...]]:
-    """Return the record of a bag from the first commanded state on, within the window, and notes on it.
+    """Return the record of a bag from the first commanded state on, of the part that is used, and notes on it.
 
-    Effort: the command that answers each state by its stamp, else the last one sent before the next state, else the
-    torque of the motors in the states. Raises BagError, RecordError.
+    Effort: the command that answers each state, where there is none the one before, or else the torque of the motors in
+    the states. Raises BagError, RecordError.
     """
     bag = read_bag(path, mapping.namespace)
-    commands = None if mapping.effort == record_map.BY_STATES else next(filter(bag.holds, (ANSWERS, EFFORTS)), None)
-    if mapping.effort == record_map.BY_COMMANDS and commands is None:
+    commands = (
+        [] if mapping.effort == record_map.BY_STATES else [each for each in (ANSWERS, EFFORTS) if bag.holds(each)]
+    )
+    if mapping.effort == record_map.BY_COMMANDS and not commands:
         bag.held(ANSWERS)
-    columns = {STATES: state_names(joints)} | ({commands: joints} if commands else {})
-    read = _messages(bag, columns, window)
-    n, (stamps, sent, rows) = len(joints), read[STATES]
-    if not len(stamps):
-        raise RecordError(f"{path} holds no state; expected a record of motion")
-    q_l, q_m, tau, u = (rows[:, i * n : (i + 1) * n] for i in range(4))
-    notes: tuple[str, ...] = ()
-    if commands is None:
-        notes = (f"no commands: the effort of {motor_name(joints[0])} and so on in the states is the torque",)
-    else:
-        topic = bag.held(commands)
-        u, notes = _answers(stamps, sent, read[commands], topic.name, topic.type_name == FLOATS)
-    unknown = np.full_like(q_l, np.nan)
-    q_m, tau = (unknown, tau) if mapping.by_torque else (q_m / mapping.gear_ratio, unknown)
-    driven = np.flatnonzero(np.isfinite(u).all(axis=1))
-    if not len(driven):
-        raise RecordError(f"{path} holds no effort of all joints; expected commands, or efforts in the states")
-    begin, end = int(driven[0]), int(driven[-1]) + 1
-    kept = begin + np.flatnonzero(np.append(True, np.diff(stamps[begin:end]) != 0))  # a waiting plant repeats its state
-    u = u[kept]
-    u = u[np.maximum.accumulate(np.where(np.isfinite(u).all(axis=1), np.arange(len(u)), 0))]  # the last command holds
-    t = (stamps[kept] - stamps[kept[0]]) * 1e-9
-    table = window.of(t, np.column_stack([t, q_l[kept], q_m[kept], u, tau[kept]]))
-    if not len(table):
-        raise RecordError(f"{path} holds no samples{window.text}; expected a record of motion")
-    q_l, q_m, u, tau = signals = np.split(table[:, 1:], 4, axis=1)
+    signals = RunSignals(bag, joints, commands=commands, beside=())
+    notes = signals.notes
+    if not commands:
+        notes += (f"no commands: the effort of {motor_name(joints[0])} and so on in the states is the torque",)
+    elif missing := int((signals.answered < 0).sum()):
+        notes += (f"{missing} states have no command: the one before is taken to hold",)
+    table = reading.part(path, _states(path, signals, mapping))
+    q_l, q_m, u, tau = values = np.split(table[:, 1:], 4, axis=1)
     _check_complete(path, {"positions of the links": q_l, "positions of the motors": q_m, "joint torques": tau}, joints)
-    return record_of_samples(path.name, joints, table[:, 0], signals, mapping.held, notes)
+    return record_of_samples(path.name, joints, table[:, 0], values, mapping.held, notes)
 
 
-def _messages(bag: Bag, columns: Mapping[str, Sequence[str]], window: TimeWindow) -> dict[str, Rows]:
-    """Return the messages of topics, with the joints of each, until the window ends; raise BagError, RecordError."""
-    blocks: dict[str, list[Rows]] = {name: [] for name in columns}
-    first, count = -1, 0
-    for batch in bag.batches(columns, STATES, MESSAGES):
-        for name, joints in columns.items():
-            table = bag.table(batch[name], joints)
-            if len(table.stamp) < len(batch[name].messages):
-                raise BagError(f"{batch[name].name} holds messages of another length; expected {len(joints)} efforts")
-            blocks[name].append((table.stamp, table.publish_time, np.hstack([table.position, table.effort])))
-        stamps, _, rows = blocks[STATES][-1]
-        count += rows.size
-        if count > LARGEST:
-            raise RecordError(f"{STATES} holds more than {LARGEST:,} numbers; expected fewer: choose a --duration")
-        if first < 0 and all(any(len(block[0]) for block in of) for of in blocks.values()):
-            first = int(stamps[-1]) if len(stamps) else first  # of the first states with commands
-        if first >= 0 and len(stamps) and (stamps[-1] - first) * 1e-9 > window.start + window.duration + 1.0:
-            break  # 1 s for late commands
-    return {name: tuple(map(np.concatenate, zip(*of, strict=True))) for name, of in blocks.items()}  # type: ignore[misc]
-
-
-def _answers(stamps: Times, sent: Times, commands: Rows, topic: str, unstamped: bool) -> tuple[Array, tuple[str, ...]]:
-    """Return the command (k, n) of each state, NaN without one, and a note if some are missing."""
-    times, published, rows = commands
-    efforts = rows[:, rows.shape[1] // 2 :]
-    if not len(times):
-        raise RecordError(f"{topic} holds no command; expected one for each state")
-    if unstamped:
-        last = np.searchsorted(published, np.append(sent[1:], np.iinfo(np.int64).max)) - 1
-        u = np.where(last[:, None] >= 0, efforts[np.maximum(last, 0)], np.nan)
-        return u, (f"a command of {topic} is taken to answer the last state sent before it",)
-    first = first_of_each_stamp(times)
-    place, answered = match_stamps(stamps, times[first])
-    u = np.where(answered[:, None], efforts[first][place], np.nan)
-    ends = np.flatnonzero(answered)
-    missing = int((~answered[ends[0] : ends[-1]]).sum()) if len(ends) else 0
-    return u, (f"{missing} states have no command: the one before is taken to hold",) if missing else ()
+def _states(path: Path, signals: RunSignals, mapping: record_map.BagMap) -> Iterator[Array]:
+    """Yield time [s], q_l, q_m, u and joint torques of the states from the first effort on, PART states at a time."""
+    n, before = len(mapping.gear_ratio), np.full(len(mapping.gear_ratio), np.nan)
+    for start in range(0, len(signals.stamp), PART):
+        rows = slice(start, start + PART)
+        position, _, effort = signals.states(rows)
+        u = held_efforts(signals.efforts(rows) if signals.commands else effort[:, n:], before)
+        unknown, before = np.full_like(u, np.nan), u[-1]
+        q_m, tau = (unknown, effort[:, :n]) if mapping.by_torque else (position[:, n:] / mapping.gear_ratio, unknown)
+        t = (signals.stamp[rows] - signals.stamp[0]) * 1e-9
+        yield np.column_stack([t, position[:, :n], q_m, u, tau])[np.isfinite(u).all(axis=1)]
+    if not np.isfinite(before).all():
+        raise RecordError(f"{path} holds no effort of all joints; expected commands, or efforts in the states")
 
 
 def _check_complete(path: Path, signals: dict[str, Array], joints: Sequence[str]) -> None:

@@ -29,7 +29,7 @@ from fjr_monitor.diagnosis.record import LEAD, PART, Record, held_efforts
 from fjr_monitor.recording.bag import Bag
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import Times
-from fjr_monitor.recording.signals import REFERENCE, RunSignals
+from fjr_monitor.recording.signals import REFERENCE, RecordedStates, RunSignals
 from fjr_msgs_py.console.output import number
 from fjr_msgs_py.node.reports import STAMP
 
@@ -84,16 +84,18 @@ class Recording:
         self.joints, self.units = scenario.joints, scenario.robot.units
         self.lockstep = bool(scenario.plant_values["lockstep"])
         self.effort_limit = effort_limits(scenario.controller_values, scenario.robot)
-        self.signals = signals = RunSignals(bag, scenario, duration)
+        self._reader = reader = RecordedStates(bag, scenario)
+        self.signals = signals = RunSignals(bag, self.joints, duration, reader.complete)
+        signals.begin_with_reference(scenario.reference)
         self.stop, count = first_stop(signals), len(signals.stamp)
-        self.velocities_measured = not signals.reader.estimated
+        self.velocities_measured = not reader.estimated
         nominal = scenario.sample_period
         seen = float(np.median(np.diff(signals.stamp))) * 1e-9 if count > 1 else 0.0
         other = seen > 0 and abs(seen - nominal) > OTHER_RATE * nominal
         self.step, self.sample_period = seen or nominal, (seen if other else nominal)
         rate = f"the scenario's robot sends them every {nominal * 1e3:g} ms"
         rate_note = (f"states came every {seen * 1e3:.4g} ms; {rate}",) if other else ()
-        self.notes = (*signals.notes, *self._read(signals), *rate_note)
+        self.notes = (*reader.notes, *signals.notes, *self._read(signals), *rate_note)
 
     def _read(self, signals: RunSignals) -> tuple[str, ...]:
         """Write the columns, part by part; return the notes on velocities and reference."""
@@ -158,7 +160,7 @@ class Recording:
             begin=begin,
             before=before,
             certify=self._certify,
-            u_applied=found["torque"] @ inverse if signals.reader.known_torque else None,
+            u_applied=found["torque"] @ inverse if self._reader.known_torque else None,
             sample_period=self.sample_period,
             lockstep=self.lockstep,
             effort_limit=self.effort_limit,

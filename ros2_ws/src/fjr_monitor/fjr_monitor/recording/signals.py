@@ -7,6 +7,7 @@ run are found in whole arrays: the first message of each stamp, of the longest s
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from itertools import islice, pairwise
 from typing import Any
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
+from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.bag import STATES, STEP, Bag, JointTable, in_order
 from fjr_monitor.recording.columns import Columns
@@ -42,20 +44,18 @@ Places = NDArray[np.int32]
 class RecordedStates:
     """States from tables of the topic.
 
-    known_torque: whether the motors' torque is measured. left_out: number of states that were not complete.
-    other_names, no_motors: a sentence if joint names differ, if the motor side is not measured; else empty.
+    known_torque: whether the motors' torque is measured. estimated: whether an observer estimates the velocities.
     """
 
     def __init__(self, bag: Bag, scenario: Scenario) -> None:
-        self._joints, self._n = scenario.joints, len(scenario.joints)
+        self._bag, self._joints, self._n = bag, scenario.joints, len(scenario.joints)
         self._measured = scenario.measurement
         self._ratio = np.concatenate([np.ones(self._n), np.asarray(self._measured.gear_ratio)])  # of links, motors
-        self.left_out = 0
-        self.known_torque = False
-        self._foreign, self.other_names = self._names(bag)
-        self.no_motors = ""
+        self._left_out = 0
+        self._foreign, self._other_names = self._names(bag)
+        self._no_motors = ""
         self._needed: NDArray[np.intp] | None = None  # columns of position and velocity without which one is left out
-        self.estimated = False
+        self.known_torque = self.estimated = False
         self._wants_estimate = scenario.controller_values["measurement.velocity"] != "measured"
 
     def complete(self, table: JointTable) -> JointTable:
@@ -74,8 +74,21 @@ class RecordedStates:
         if self._needed is None:
             self._see(table, position)
         good = np.asarray(np.isfinite(np.hstack([table.position, table.velocity])[:, self._needed]).all(axis=1))
-        self.left_out += int((~good).sum())
+        self._left_out += int((~good).sum())
         return replace(table, position=position, velocity=velocity, effort=table.effort[:, n:]).rows(good)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A sentence for each loss, for other joint names, and if the motor side is not measured."""
+        lost, kept = self._bag.held(STATES).lost or 0, self._bag.held(STATES).count
+        said = (
+            "" if self._bag.complete else "the bag was not closed: shown is what was written until then",
+            f"the recorder lost {lost} of {lost + kept} states: they are not judged" if lost > LOST * kept else "",
+            self._other_names,
+            f"{self._left_out} states are incomplete or not finite and left out" if self._left_out else "",
+            self._no_motors,
+        )
+        return tuple(note for note in said if note)
 
     def _see(self, table: JointTable, position: Array) -> None:
         """Decide by the first states which signals the bag holds."""
@@ -86,7 +99,7 @@ class RecordedStates:
         self.known_torque = bool(np.isfinite(table.effort[:, n:]).any())
         self.estimated = not moving and not np.isnan(position).all(axis=0).any()
         if np.isnan(position[:, n:]).all():
-            self.no_motors = f"no motor side ({names.motor_name(self._joints[0])} and so on): no V, no power"
+            self._no_motors = f"no motor side ({names.motor_name(self._joints[0])} and so on): no V, no power"
 
     def _names(self, bag: Bag) -> tuple[bool, str]:
         """Return whether joints of the scenario are missing, and a sentence if the joint names differ."""
@@ -111,24 +124,37 @@ class RunSignals:
     It begins with the first state that has a command, and of the copies of that state with the last one that was sent
     before the command. stamp, sent (k,) [ns]: stamps and send times of the states. answered (k,) [ns]: send times of
     their commands, -1: none. counters: last /diagnostics of each name. events: of the controller, each with its send
-    time [ns]. has_reference: whether it was recorded. notes: on bag, states and commands.
+    time [ns]. has_reference: whether it was recorded. commands: topic of the commands, None without any. notes: on
+    states and commands.
 
     Robot and controller on two machines send by two clocks. The recorder's clock reveals their difference, except that
     of the shortest delays from both to the recorder; it is removed from the send times of the controller.
     """
 
-    def __init__(self, bag: Bag, scenario: Scenario, duration: float) -> None:
-        """duration [s] of stamped time; infinite: up to the last state that has a command."""
-        self.reader = RecordedStates(bag, scenario)
+    def __init__(
+        self,
+        bag: Bag,
+        joints: tuple[str, ...],
+        duration: float = np.inf,
+        complete: Callable[[JointTable], JointTable] = lambda table: table,
+        commands: Collection[str] = (ANSWERS, EFFORTS),
+        beside: Collection[str] = (REFERENCE, EVENTS, names.DIAGNOSTICS),
+    ) -> None:
+        """Read a bag.
+
+        duration [s] of stamped time; infinite: up to the last state that has a command. complete: returns the complete
+        states of a table. commands: topics of which the first that was recorded answers the states. beside: others.
+        """
         self.counters: dict[str, dict[str, str]] = {}
         self.events: list[tuple[Any, int]] = []
-        self._commands = next((topic for topic in (ANSWERS, EFFORTS) if bag.holds(topic)), None)
-        kept = [STATES, *filter(None, [self._commands]), *filter(bag.holds, [REFERENCE])]
-        self._numbers, self.has_reference = {topic: Columns() for topic in kept}, REFERENCE in kept
-        self._ahead = self._read(bag, scenario.joints)
+        self.commands = next(filter(bag.holds, commands), None)
+        beside = [*filter(bag.holds, beside)]
+        self.has_reference = REFERENCE in beside
+        kept = [STATES, *filter(None, [self.commands]), *[REFERENCE] * self.has_reference]
+        self._numbers = {topic: Columns() for topic in kept}
+        self._ahead = self._read(bag, joints, [*kept, *beside], complete)
         self.events = [(event, sent - self._ahead) for event, sent in self.events]
-        self._references = _of_stamps(*self._choose(bag, duration), self._times(REFERENCE))[0]
-        self._begin_with_reference(scenario)
+        self._references = _of_stamps(*self._choose(bag, commands, duration), self._times(REFERENCE))[0]
 
     def states(self, rows: slice) -> tuple[Array, Array, Array]:
         """Return positions, velocities (m, 2n) [rad, rad/s] and measured motor torques (m, n) [N m] of states."""
@@ -137,9 +163,9 @@ class RunSignals:
 
     def efforts(self, rows: slice) -> Array:
         """Return the commands (m, n) [N m] of states; NaN without one."""
-        if self._commands is None:
+        if self.commands is None:
             return np.full_like(self.states(rows)[2], np.nan)
-        return self._numbers[self._commands].at(self._answers[rows])["effort"]
+        return self._numbers[self.commands].at(self._answers[rows])["effort"]
 
     def reference(self, rows: slice) -> tuple[Array, Array]:
         """Return recorded positions and velocities (m, n) of the reference at states; NaN without one."""
@@ -164,18 +190,19 @@ class RunSignals:
         """Return the times [ns] from states to their commands, where there is one."""
         return (self.answered - self.sent)[self.answered >= 0]
 
-    def _read(self, bag: Bag, joints: tuple[str, ...]) -> int:
+    def _read(
+        self, bag: Bag, joints: tuple[str, ...], topics: Collection[str], complete: Callable[[JointTable], JointTable]
+    ) -> int:
         """Read the messages, with counters and events; times [ns] are kept among the numbers, as bytes.
 
         Return by how much the clock of the commands is ahead of that of the states [ns].
         """
         named = dict.fromkeys(self._numbers, joints) | {STATES: names.state_names(joints)}
         ahead = dict.fromkeys(self._numbers, -END)  # send minus receive time
-        beside = filter(bag.holds, (names.DIAGNOSTICS, EVENTS))
-        for batch in bag.batches((*self._numbers, *beside), STATES, TOGETHER):
+        for batch in bag.batches(topics, STATES, TOGETHER):
             for topic, numbers in self._numbers.items():
                 table = bag.table(batch[topic], named[topic])
-                table = self.reader.complete(table) if topic == STATES else table
+                table = complete(table) if topic == STATES else table
                 times = {"stamp": table.stamp.view(float), "sent": table.publish_time.view(float)}
                 numbers.add(**{name: getattr(table, name) for name in FIELDS[topic]}, **times)
                 ahead[topic] = max([ahead[topic], *(m.publish_time - m.log_time for m in batch[topic].messages)])
@@ -184,7 +211,7 @@ class RunSignals:
                     self.counters[status.name] = {pair.key: pair.value for pair in status.values}
             if EVENTS in batch:
                 self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
-        return clock_difference(ahead[STATES], ahead[self._commands or STATES])
+        return clock_difference(ahead[STATES], ahead[self.commands or STATES])
 
     def _times(self, topic: str) -> tuple[Times, Times]:
         """Return stamps and send times [ns] of the messages of a topic, by the clock of the states."""
@@ -193,7 +220,7 @@ class RunSignals:
         stamp, sent = (self._numbers[topic].column(name).view(np.int64) for name in ("stamp", "sent"))
         return stamp, sent if topic == STATES else sent - self._ahead
 
-    def _choose(self, bag: Bag, duration: float) -> tuple[Times, Times]:
+    def _choose(self, bag: Bag, commands: Collection[str], duration: float) -> tuple[Times, Times]:
         """Find the rows of the run; return its stamps, and the send times [ns] of the ends of the section."""
         stamp, sent = self._times(STATES)
         if not len(stamp):
@@ -214,14 +241,14 @@ class RunSignals:
             rows = rows[: 1 + int(np.flatnonzero(answers[rows] >= 0)[-1])]
         self.stamp, self.sent, self.answered = stamp[rows], sent[rows], answered[rows]
         self._rows, self._answers = (begin + rows).astype(np.int32), answers[rows]
-        self.notes = self._notes(bag, len(starts), float(last - self.stamp[-1]) * 1e-9)
+        self.notes = self._notes(commands, len(starts), float(last - self.stamp[-1]) * 1e-9)
         return self.stamp, sent[[0, -1]]
 
-    def _begin_with_reference(self, scenario: Scenario) -> None:
+    def begin_with_reference(self, planned: Reference) -> None:
         """Drop the states before the first recorded reference if it is not the planned one: their motion is unknown."""
         first = int(np.argmax(self._references >= 0))
         (recorded,), t = self.reference(slice(first, first + 1))[0], (self.stamp[first] - self.stamp[0]) * 1e-9
-        if first and np.abs(recorded - scenario.reference.jets(t)[0]).max() > NEAR:
+        if first and np.abs(recorded - planned.jets(t)[0]).max() > NEAR:
             self.stamp, self.sent, self.answered = self.stamp[first:], self.sent[first:], self.answered[first:]
             self._rows, self._answers = self._rows[first:], self._answers[first:]
             self._references = self._references[first:]
@@ -232,7 +259,7 @@ class RunSignals:
         Commands are matched by stamp where they carry one; else each state has the first one sent after it and before
         the next state.
         """
-        if self._commands != EFFORTS:
+        if self.commands != EFFORTS:
             return _of_stamps(stamp, sent, self._times(ANSWERS))
         _, when = self._times(EFFORTS)
         place = np.searchsorted(when, sent)
@@ -240,27 +267,20 @@ class RunSignals:
         found = (time < np.append(sent[1:], END)) & (time <= sent[-1] + AFTERWARDS)
         return np.where(found, place, -1).astype(np.int32), np.where(found, time, -1)
 
-    def _notes(self, bag: Bag, jumps: int, tail: float) -> tuple[str, ...]:
+    def _notes(self, commands: Collection[str], jumps: int, tail: float) -> tuple[str, ...]:
         """Return the notes; tail [s]: from the last state of the run to that of the section."""
-        reader, end = self.reader, (self.stamp[-1] - self.stamp[0]) * 1e-9
-        lost, kept = bag.held(STATES).lost or 0, bag.held(STATES).count
-        unknown = "no effort of the controller, no latency"
+        end, unknown = (self.stamp[-1] - self.stamp[0]) * 1e-9, "no effort of the controller, no latency"
         ahead = f"the commands' clock is {self._ahead * 1e-9:+.4g} s ahead (two machines, or a slow network): corrected"
-        commands = ""
-        if self._commands is None:
-            commands = f"neither {ANSWERS} nor {EFFORTS} was recorded: {unknown}"
-        elif not (self.answered >= 0).any():
-            commands = f"no state is answered on {self._commands}: {unknown}"
-        elif self._commands == EFFORTS:
-            commands = f"no {ANSWERS}: a command of {EFFORTS} is taken to answer the last state sent before it"
+        paired = ""
+        if self.commands is None and commands:
+            paired = f"neither {' nor '.join(commands)} was recorded: {unknown}"
+        elif self.commands and not (self.answered >= 0).any():
+            paired = f"no state is answered on {self.commands}: {unknown}"
+        elif self.commands == EFFORTS:
+            paired = f"no {ANSWERS}: a command of {EFFORTS} is taken to answer the last state sent before it"
         said = (
-            "" if bag.complete else "the bag was not closed: shown is what was written until then",
-            f"the recorder lost {lost} of {lost + kept} states: they are not judged" if lost > LOST * kept else "",
-            reader.other_names,
-            f"{reader.left_out} states are incomplete or not finite and left out" if reader.left_out else "",
-            reader.no_motors,
             f"time jumps back {jumps} times: shown is the longest of {jumps + 1} parts" if jumps else "",
-            commands,
+            paired,
             ahead if self._ahead else "",
             f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown" if tail > TAIL else "",
         )
