@@ -46,6 +46,7 @@ from fjr_identification.estimation.parameters import (
     USUAL_STRIBECK,
     IdentifyOptions,
     Prior,
+    prior_of,
     size,
 )
 from fjr_identification.estimation.shooting import HeldEffort, Shooting
@@ -113,7 +114,7 @@ def draw(n: int, seed: int, duration: float | None = None, measured: str = "both
     record = replace(whole, **unmeasured)
     spread = {"joint_stiffness": 0.5, "motor_inertia": 0.3}
     guess = {name: truth[name] * np.exp(sd * rng.standard_normal(n)) for name, sd in spread.items()}
-    return Case(record, robot, Prior.of(robot, guess), truth)
+    return Case(record, robot, prior_of(robot, guess), truth)
 
 
 def _true_parameters(rng: np.random.Generator, robot: Robot) -> dict[str, Array]:

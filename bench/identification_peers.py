@@ -38,7 +38,7 @@ from fjr_core.numerics.checks import Array
 from fjr_engines.mjcf.writing import MOTOR, SPRING
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, prior_of
 from fjr_msgs_py.scenarios import library
 
 NAMES = ("joint_stiffness", "motor_inertia", "link_damping", "motor_damping")
@@ -97,7 +97,7 @@ def true_values(robot: Robot) -> dict[str, Array]:
 
 def ours(case: Case) -> Estimated:
     """Estimate by this project."""
-    prior = Prior.of(case.robot, case.start)
+    prior = prior_of(case.robot, case.start)
     began = time.process_time()
     found = identify([case.record], case.robot, prior, IdentifyOptions(free=NAMES))
     seconds = time.process_time() - began

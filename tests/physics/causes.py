@@ -12,7 +12,7 @@ from fjr_design.uncertainty.posterior import IDENTIFIED
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_fit
 from fjr_identification.estimation.lack_of_fit import seen
-from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, prior_of
 from fjr_identification.records.checks import findings
 
 from .coverage import CASES, CAUSES, identified, read
@@ -45,7 +45,7 @@ def named(draws: Draws, i: int) -> Named | None:
     if findings(record, nominal.robot):
         return None
     options = IdentifyOptions(threads=1)
-    setup = Estimation([record], nominal.robot, Prior.of(nominal.robot), options)
+    setup = Estimation([record], nominal.robot, prior_of(nominal.robot), options)
     found = [each.wrong for each in seen(setup, filtered_fit(setup, setup.coordinates.mean)).values()]
     sought = bool(draws.case.cause) and not all(found)
     of_record = identified(draws, i, options) or [] if sought else []

@@ -15,7 +15,7 @@ from bench.figures import markdown
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord, record_of_samples
-from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, prior_of
 from fjr_identification.records.checks import findings
 from fjr_identification.robot_file import NominalRobot, nominal_robot
 
@@ -131,7 +131,7 @@ def identified(draws: Draws, i: int, options: IdentifyOptions) -> list[Interval]
         record, nominal = read(draws, i)
         if findings(record, nominal.robot):
             return None
-        found = identify([record], nominal.robot, Prior.of(nominal.robot), options)
+        found = identify([record], nominal.robot, prior_of(nominal.robot), options)
     except fjr.FjrError:
         return None
     truth, secants = draws.truth(i), draws.secants(i)

@@ -27,7 +27,7 @@ from fjr_core.model.robot import PRISMATIC, Robot
 from fjr_design.uncertainty.posterior import DEFLECTION, NAMES, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, prior_of
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.page import fit_plots
 from fjr_identification.records.missing_sensors import lacking
@@ -84,7 +84,7 @@ def test_records_of_a_real_robot_are_read_in_si_units_without_a_finding(
 def test_filtered_least_squares_of_a_real_record_predict_the_deflection_in_the_other_one(
     kr300: Robot, both: list[MotionRecord]
 ) -> None:
-    prior, options, found = Prior.of(kr300), IdentifyOptions(position_torque="a2"), []
+    prior, options, found = prior_of(kr300), IdentifyOptions(position_torque="a2"), []
     for record, held_out in (both, both[::-1]):
         found.append(identify([record], kr300, prior, options))
         (fit,) = found[-1].fits

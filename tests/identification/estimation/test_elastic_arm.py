@@ -32,7 +32,7 @@ from fjr_identification.estimation.parameters import (
     USUAL_STRIBECK,
     IdentifyOptions,
     ParameterCoordinates,
-    Prior,
+    prior_of,
     size,
 )
 from fjr_identification.estimation.shooting import HeldEffort, Shooting, behind
@@ -202,12 +202,12 @@ def test_prior_of_a_robot_holds_its_values_and_those_that_are_given_but_no_inert
     robot, silent = fjr.planar_two_link(), np.zeros((500, 2))
     record = MotionRecord("a record", ("a", "b"), 2e-3, silent, silent, silent, np.full_like(silent, np.nan))
     with pytest.raises(fjr.FjrError, match="expected one from a URDF"):
-        _ = Estimation([record], robot, Prior.of(robot), IdentifyOptions(link_inertia=True)).coordinates
-    prior = Prior.of(robot, {"joint_stiffness": [50.0, 20.0]})
-    np.testing.assert_array_equal(prior.values["joint_stiffness"], [50.0, 20.0])
-    np.testing.assert_array_equal(prior.values["motor_inertia"], np.diag(robot.M_m))
+        _ = Estimation([record], robot, prior_of(robot), IdentifyOptions(link_inertia=True)).coordinates
+    prior = prior_of(robot, {"joint_stiffness": [50.0, 20.0]})
+    np.testing.assert_array_equal(prior["joint_stiffness"], [50.0, 20.0])
+    np.testing.assert_array_equal(prior["motor_inertia"], np.diag(robot.M_m))
     with pytest.raises(fjr.FjrError, match="K is not diagonal; expected one number per joint"):
-        Prior.of(replace(robot, K=np.array([[40.0, 1.0], [1.0, 25.0]])))
+        prior_of(replace(robot, K=np.array([[40.0, 1.0], [1.0, 25.0]])))
 
 
 BODIES = (
@@ -269,7 +269,7 @@ def test_a_heavier_link_is_found_from_the_torques_that_its_motion_needs() -> Non
     tau = np.asarray(true.links.inertial_torque(q.T, v.T, v.T, a.T) + true.links.grad_P_l(q.T)).T
     motor = q + tau / 900 + 1e-6 * np.random.default_rng(4).standard_normal(q.shape)
     record = MotionRecord("a record", ("a", "b"), dt, tau + 0.2 * a, q, motor, np.full_like(q, np.nan))
-    setup = Estimation([record], nominal, Prior.of(nominal), IdentifyOptions(link_inertia=True))
+    setup = Estimation([record], nominal, prior_of(nominal), IdentifyOptions(link_inertia=True))
     z = filtered_fit(setup, setup.coordinates.mean)
     p = setup.coordinates.parameters(z)
     bodies = corrected(BODIES, np.column_stack([p[name] for name in PSEUDO_INERTIA]))

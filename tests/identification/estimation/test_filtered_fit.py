@@ -24,7 +24,7 @@ from fjr_identification.estimation.filtered_fit import (
 )
 from fjr_identification.estimation.identify import MOST, displacement, identify
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import KINDS, SMOOTHING, IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import KINDS, SMOOTHING, IdentifyOptions, prior_of
 from identification.estimation.test_identify import NOISE, found_in, noisy, robot_like
 
 JOINT = ElasticJoint()
@@ -32,13 +32,13 @@ JOINT = ElasticJoint()
 
 def setup_of(noise: float = NOISE) -> Estimation:
     robot = robot_like(JOINT)
-    return Estimation([noisy(*usual_record(), 4e-3, noise=noise)], robot, Prior.of(robot), IdentifyOptions())
+    return Estimation([noisy(*usual_record(), 4e-3, noise=noise)], robot, prior_of(robot), IdentifyOptions())
 
 
 def test_a_fit_that_does_not_converge_gives_way_to_filtered_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(optimise, "MOST_ITERATIONS", 0)
-    start = setup_of().prior.values
-    monkeypatch.setattr(f"{identify.__module__}.simulation_start", lambda setup, z: {**setup.prior.values, **start})
+    start = setup_of().prior
+    monkeypatch.setattr(f"{identify.__module__}.simulation_start", lambda setup, z: {**setup.prior, **start})
     found = found_in(noisy(*usual_record(), 4e-3), JOINT)
     assert {each.verdict for each in found.values()} <= {WEAK, UNKNOWN}
     stiffness = found["joint_stiffness"]
@@ -53,7 +53,7 @@ def test_steps_are_short_on_both_sides_wherever_the_start_puts_the_friction() ->
     longest = []
     for link, motor in ((0.1, 0.0), (0.0, 0.1)):
         friction = {"link_coulomb_friction": np.array([link]), "motor_coulomb_friction": np.array([motor])}
-        values = setup.prior.values | friction
+        values = setup.prior | friction
         found = setup.problem(values).segments[0].effort.steps(values)
         assert found is not None
         longest.append(found["rest"])
@@ -66,8 +66,8 @@ def test_efforts_in_other_units_with_the_input_gain_that_undoes_them_change_neit
     for gain in (1.0, -50.0):
         robot = replace(robot_like(JOINT), B_m=np.array([[gain]]))
         options = IdentifyOptions(load_friction=True)
-        setup = Estimation([replace(record, u=record.u / gain)], robot, Prior.of(robot), options)
-        values = setup.prior.values | load
+        setup = Estimation([replace(record, u=record.u / gain)], robot, prior_of(robot), options)
+        values = setup.prior | load
         steps = setup.problem(values).segments[0].effort.steps(values)
         assert steps is not None
         found.append(np.concatenate([setup.coordinates.width, *steps.values()]))
@@ -102,7 +102,7 @@ def test_derivatives_of_both_sides_equal_central_differences() -> None:
     t = 4e-3 * np.arange(300)
     q = np.column_stack([multi_sine(t, np.array([0.9, 2.1]), 0.5, seed) for seed in (1, 2)])
     record = MotionRecord("a record", ("a", "b"), 4e-3, 3 * q, q, 1.1 * q, np.full_like(q, np.nan))
-    setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions(position_torque="b", payload=True))
+    setup = Estimation([record], robot, prior_of(robot), IdentifyOptions(position_torque="b", payload=True))
     names, width = setup.coordinates.free, setup.coordinates.width
     z = setup.coordinates.mean + 0.1 * width * np.random.default_rng(3).standard_normal(len(width))
     z = np.where([KINDS[name].coordinate == LOG for name, _ in names], z, np.abs(z))
@@ -133,7 +133,7 @@ def test_torques_that_the_model_lacks_are_not_simulated() -> None:
     wrong = replace(honest, u=honest.u + ripple[:, None])
     relative = []
     for record in (honest, wrong):
-        setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
+        setup = Estimation([record], robot, prior_of(robot), IdentifyOptions())
         relative.append(displacement(setup, filtered_fit(setup, setup.coordinates.mean)))
     assert relative[0][0] < 0.1 * MOST
     assert relative[1][0] > MOST
@@ -144,7 +144,7 @@ def test_torques_that_the_model_lacks_are_not_simulated() -> None:
 
 def test_a_link_damping_four_times_too_large_does_not_keep_the_motion_from_being_simulated() -> None:
     robot = fjr.single_link(stiffness=25.0, motor_inertia=0.005, link_damping=4 * JOINT.D_l)
-    found = {each.name: each for each in identify([noisy(*usual_record(), 4e-3)], robot, Prior.of(robot)).estimates}
+    found = {each.name: each for each in identify([noisy(*usual_record(), 4e-3)], robot, prior_of(robot)).estimates}
     for name, true in (("joint_stiffness", JOINT.K), ("motor_inertia", JOINT.B), ("link_damping", JOINT.D_l)):
         assert found[name].verdict == IDENTIFIED
         assert found[name].value == pytest.approx(true, rel=5e-3)

@@ -13,9 +13,10 @@ import fjr_core as fjr
 from core.oracles.elastic_joint import TRUTH, ElasticJoint, exact, integrated, multi_sine, usual_record
 from fjr_core.numerics.checks import Array
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, Estimate, Identification
+from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.identify import identify
 from fjr_identification.estimation.motion_record import MotionRecord, record_of_samples
-from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import KINDS, IdentifyOptions, prior_of
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.estimation.verdicts import inflation
 
@@ -62,7 +63,7 @@ def linear_record(frequencies: list[float], amplitude: float, noise: float = NOI
 
 def found_in(record: MotionRecord, joint: ElasticJoint, **options: object) -> dict[str, Estimate]:
     robot = robot_like(joint)
-    found = identify([record], robot, Prior.of(robot), IdentifyOptions(**options))  # type: ignore[arg-type]
+    found = identify([record], robot, prior_of(robot), IdentifyOptions(**options))  # type: ignore[arg-type]
     return {each.name: each for each in found.estimates}
 
 
@@ -70,7 +71,7 @@ def found_in(record: MotionRecord, joint: ElasticJoint, **options: object) -> di
 def usual_identification() -> Identification:
     """Return what is identified from the usual record."""
     robot = robot_like(ElasticJoint())
-    return identify([noisy(*usual_record(), 4e-3)], robot, Prior.of(robot))
+    return identify([noisy(*usual_record(), 4e-3)], robot, prior_of(robot))
 
 
 def test_all_parameters_of_a_joint_are_found_within_their_intervals() -> None:
@@ -96,7 +97,7 @@ def test_a_log_slower_than_the_controller_gives_stiffness_inertia_and_delay(ever
     for held in (dt, np.inf):
         record, notes = record_of_samples("a log", ("joint1",), t, [q_l, q_m, u[::every, None], nothing], held)
         assert len(notes) == (held == dt)
-        found[held] = {each.name: each for each in identify([record], robot, Prior.of(robot)).estimates}
+        found[held] = {each.name: each for each in identify([record], robot, prior_of(robot)).estimates}
     for name, true in {"joint_stiffness": 31.0, "motor_inertia": 0.004, "effort_delay": 2.6e-3}.items():
         estimate, plain = (found[held][name] for held in (dt, np.inf))
         assert abs(estimate.value - true) < 3 * (estimate.high - estimate.low) / 3.92, name
@@ -127,11 +128,11 @@ def test_a_straight_spring_has_no_curve_and_a_torque_sensor_does_not_measure_one
 
 def test_two_records_give_narrower_intervals_than_one_and_those_of_other_joints_are_refused() -> None:
     robot = robot_like(ElasticJoint())
-    both = identify([noisy(*usual_record(seed), 4e-3) for seed in (0, 1)], robot, Prior.of(robot))
+    both = identify([noisy(*usual_record(seed), 4e-3) for seed in (0, 1)], robot, prior_of(robot))
     widths = [[each.high - each.low for each in found.estimates] for found in (usual_identification(), both)]
     assert np.median(np.array(widths[1]) / np.array(widths[0])) < 0.8
     with pytest.raises(fjr.FjrError, match="expected the 2 of the robot"):
-        identify([noisy(*usual_record(), 4e-3)], fjr.planar_two_link(), Prior.of(fjr.planar_two_link()))
+        identify([noisy(*usual_record(), 4e-3)], fjr.planar_two_link(), prior_of(fjr.planar_two_link()))
 
 
 def test_without_gravity_the_motor_side_reveals_the_stiffness_by_its_resonance_alone_and_not_the_offset() -> None:
@@ -148,10 +149,15 @@ def test_without_gravity_the_motor_side_reveals_the_stiffness_by_its_resonance_a
     assert "excite the joint near its resonance" in stiffness.reason
 
 
-def test_without_the_motor_position_the_offset_is_not_told_however_wide_its_prior_and_many_the_segments() -> None:
+def test_without_the_motor_position_the_offset_is_not_told_however_wide_its_prior_and_many_the_segments(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(KINDS, "offset", replace(KINDS["offset"], width=0.1))
+    for limit in ("SHORTEST", "LONGEST"):
+        monkeypatch.setattr(f"{Estimation.__module__}.{limit}", 0.2)  # s
     joint, robot, (u, q_l, q_m) = ElasticJoint(), robot_like(ElasticJoint()), usual_record()
     record = noisy(u, q_l, None, 4e-3, sensed(joint, q_l, q_m), noise=2e-6)
-    found = identify([record], robot, Prior.of(robot, widths={"offset": 0.1}), IdentifyOptions(segment=0.2))
+    found = identify([record], robot, prior_of(robot))
     assert found.value("joint_stiffness") == pytest.approx(joint.K, rel=0.02)
     offset = next(each for each in found.estimates if each.name == "offset")
     assert (offset.verdict, offset.value) == (UNKNOWN, 0.0)
@@ -182,7 +188,7 @@ LATE = 2  # samples by which the link encoder is read later
 
 def test_the_deflection_of_another_record_is_predicted_better_than_by_rigid_joints_or_no_skew() -> None:
     robot, found = robot_like(ElasticJoint()), usual_identification()
-    prior = Prior.of(robot)
+    prior = prior_of(robot)
     record = noisy(*usual_record(1), 4e-3)
     wrong = replace(found, estimates=tuple(replace(e, value=e.prior) for e in found.estimates))
     shares = [hold_out(each, record, robot, prior, IdentifyOptions()).shares[0, 0] for each in (found, wrong)]

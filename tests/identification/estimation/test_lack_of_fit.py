@@ -17,7 +17,7 @@ from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_estimates, filtered_fit
 from fjr_identification.estimation.lack_of_fit import Rows, Seen, deflections, seen, slipping_elements, withheld
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import IdentifyOptions, prior_of
 from fjr_identification.estimation.verdicts import Estimates
 from fjr_identification.page import springs_seen as lines
 from identification.estimation.test_identify import robot_like
@@ -67,7 +67,7 @@ def test_an_encoder_of_a_joint_that_turns_far_is_eccentric_only_if_it_is(seed: i
     for eccentricity in (0.0, 1e-3):
         columns = u, link + noise[0], motor + eccentricity * np.sin(motor + 0.7) + noise[1], np.full_like(u, np.nan)
         record = MotionRecord("a record", ("joint1",), dt, *(each[:, None] for each in columns))
-        setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
+        setup = Estimation([record], robot, prior_of(robot), IdentifyOptions())
         said.append(seen(setup, filtered_fit(setup, setup.coordinates.mean))["joint1"].wrong)
     assert said == ["", "q_m - q_l depends on the position: an encoder is eccentric"]
 
@@ -79,7 +79,7 @@ def test_what_is_wrong_with_a_prismatic_joint_is_said_in_its_units() -> None:
     record = MotionRecord("a record", ("joint1",), dt, *(each[:, None] for each in columns))
     for slides in (False, True):
         robot = replace(robot_like(joint), prismatic=(slides,))
-        setup = Estimation([record], robot, Prior.of(robot), IdentifyOptions())
+        setup = Estimation([record], robot, prior_of(robot), IdentifyOptions())
         found = seen(setup, filtered_fit(setup, setup.coordinates.mean))
         said.append(found["joint1"].wrong)
         still = replace(setup, records=[replace(record, u=0 * record.u, q_l=0 * record.q_l, q_m=0 * record.q_m)])
@@ -112,7 +112,7 @@ def of_draw(i: int, stiffer: float = 1.0) -> Estimation:
     offset, noise = draws().arm.offset[i], np.random.default_rng(i).normal(0.0, NOISE, (2, *record.q_l.shape))
     q_m = record.q_l + (record.q_m - record.q_l - offset) / stiffer + offset
     record = replace(record, q_l=record.q_l + noise[0], q_m=q_m + noise[1])
-    return Estimation([record], nominal.robot, Prior.of(nominal.robot), IdentifyOptions(threads=1))
+    return Estimation([record], nominal.robot, prior_of(nominal.robot), IdentifyOptions(threads=1))
 
 
 def bound(i: int, stiffer: float) -> float:
@@ -125,7 +125,7 @@ def bound(i: int, stiffer: float) -> float:
 def test_a_stiffness_comes_with_the_deflections_that_were_driven_and_a_very_large_one_with_a_bound(i: int) -> None:
     """Compliances up to 1e3 times smaller are right, though linear interpolation errs by more than they deflect."""
     setup, driven = of_draw(i), np.quantile(draws().deflections(i)[0], (0.01, 0.99))
-    z = setup.coordinates.of_values({**setup.prior.values, **draws().truth(i)})
+    z = setup.coordinates.of_values({**setup.prior, **draws().truth(i)})
     np.testing.assert_allclose(deflections(setup, z, 0), driven, atol=2 * NOISE)
     K = float(draws().arm.stiffness[i, 0])
     assert 1e3 * K < bound(i, STIFFER) < STIFFER * K
@@ -136,7 +136,7 @@ def test_the_result_says_where_a_stiffness_was_seen_and_what_an_unknown_one_exce
     setup, told = of_draw(0), []
     for verdict, least in ((IDENTIFIED, 1.5), (UNKNOWN, 2e7), (UNKNOWN, 0.0)):
         K = Estimate("joint_stiffness", "joint0", "N m/rad", 2.0, 1.0, 3.0, 2.0, verdict)
-        z = setup.coordinates.of_values({**setup.prior.values, **draws().truth(0)})
+        z = setup.coordinates.of_values({**setup.prior, **draws().truth(0)})
         told += withheld(setup, Estimates((K,), z, np.eye(1)), {"joint0": Seen("", least)}).estimates
     result = Identification(("joint0",), tuple(told), (0,), (LOG,), np.zeros(1), np.eye(1))
     again = Identification.from_dict(json.loads(json.dumps(result.as_dict())))

@@ -19,7 +19,7 @@ from identification.estimation.test_filtered_fit import JOINT, NOISE, setup_of
 def problem_at_truth() -> tuple[Problem, Array]:
     """Return segments of a record of the joint, with the parameters z that made it."""
     setup = setup_of()
-    true = {**setup.prior.values, **{name: np.array([getattr(JOINT, field)]) for name, field in TRUTH.items()}}
+    true = {**setup.prior, **{name: np.array([getattr(JOINT, field)]) for name, field in TRUTH.items()}}
     return setup.problem(true), setup.coordinates.of_values(true)
 
 

@@ -273,7 +273,7 @@ def test_errors_of_one_side_are_found_from_a_factor_on() -> None:
 )
 def test_a_healthy_record_of_the_coverage_study_has_no_finding(n: int, measured: str) -> None:
     case = draw(n, 2, duration=4.0, measured=measured)
-    guessed = {name: np.diag(case.prior.values[name]) for name in ("joint_stiffness", "motor_inertia")}
+    guessed = {name: np.diag(case.prior[name]) for name in ("joint_stiffness", "motor_inertia")}
     robot = replace(case.robot, K=guessed["joint_stiffness"], M_m=guessed["motor_inertia"])
     assert findings(case.record, robot) == ()
 

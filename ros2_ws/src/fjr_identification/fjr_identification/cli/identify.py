@@ -17,7 +17,7 @@ from fjr_core.urdf.typical_joints import joints_without_inertia
 from fjr_design.uncertainty.posterior import IDENTIFIED, UNKNOWN, WEAK, Identification
 from fjr_identification.estimation.identify import identify as identification_of
 from fjr_identification.estimation.motion_record import MotionRecord
-from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, Prior
+from fjr_identification.estimation.parameters import SMOOTHING, IdentifyOptions, prior_of
 from fjr_identification.estimation.validation import HoldOut, hold_out
 from fjr_identification.page import HOLD_OUT, STIFFNESS, counted, hold_out_rows, reasons, springs_seen, write_page
 from fjr_identification.records.missing_sensors import lacking
@@ -62,7 +62,7 @@ def identify(
             f"{nominal.path}: {nominal.joints[i]} {seen}; expected the inertia of its links in the URDF, or a robot "
             "file in which the joint is locked"
         )
-    prior = Prior.of(nominal.robot, {SMOOTHING: nominal.smoothing})
+    prior = prior_of(nominal.robot, {SMOOTHING: nominal.smoothing})
     reading = Reading(read_map(mapping, nominal.joints) if mapping else None, start, duration, accepted)
     motions, notes = _read(records, nominal, reading)
     predicted, more = _read(hold_outs, nominal, reading)

@@ -44,14 +44,12 @@ class Estimation:
     @cached_property
     def coordinates(self) -> ParameterCoordinates:
         """Return the coordinates of all free parameters."""
-        return ParameterCoordinates.of(
-            free_parameters(self.records, self.robot, self.options), self.prior.values, self.widths
-        )
+        return ParameterCoordinates.of(free_parameters(self.records, self.robot, self.options), self.prior, self.widths)
 
     @property
     def widths(self) -> dict[str, Array]:
-        """Return the prior's standard deviations by name; defaults follow from efforts and from K and B."""
-        n, values = self.robot.n, self.prior.values
+        """Return the prior's standard deviations by name, of the logarithm for positive parameters."""
+        n, values = self.robot.n, self.prior
         measured = np.max([np.sqrt(np.mean((r.u @ self.robot.B_m.T) ** 2, axis=0)) for r in self.records], axis=0)
         effort = np.maximum(measured, LEAST_DEFLECTION * values["joint_stiffness"])
         damping = 0.1 * np.sqrt(values["joint_stiffness"] * values["motor_inertia"])
@@ -62,12 +60,12 @@ class Estimation:
         widths[HARDENING] = values["joint_stiffness"] ** 3 / effort**2
         widths |= {name: 0.3 * effort for name, kind in KINDS.items() if kind.unit == "N m" and kind.width is None}
         widths |= {name: HARMONICS[name[-1]] * effort for name in POSITION_TORQUE}
-        return {**widths, "payload_mass": np.array([10.0]), **self.prior.widths}
+        return {**widths, "payload_mass": np.array([10.0])}
 
     @cached_property
     def motions(self) -> list[FilteredMotion]:
         """Return the filtered motion of each record."""
-        arm, values = self.arm(self.coordinates), self.prior.values
+        arm, values = self.arm(self.coordinates), self.prior
         return [filtered(record, arm, values) for record in self.records]
 
     def arm(self, coordinates: ParameterCoordinates) -> ElasticArm:
@@ -89,7 +87,7 @@ class Estimation:
         """Return the inertia [kg m^2] that lowers the resonance of each link to the fastest one that is integrated."""
         least = least_free_inertia([self.robot.M_l(q) for q in self.poses])
         fastest = ACCURATE * RESONANT_PARTS / max(record.dt for record in self.records)
-        needed = 2 * self.prior.values["joint_stiffness"] / fastest**2
+        needed = 2 * self.prior["joint_stiffness"] / fastest**2
         return tuple(float(f"{value:.2g}") for value in np.where(needed > least, needed, 0.0))
 
     def segment_length(self, start: Mapping[str, Array]) -> float:
@@ -97,7 +95,7 @@ class Estimation:
         return self._length(_rates(self.arm(self.coordinates), self.poses, start)[0])
 
     def _length(self, slowest: float) -> float:
-        return self.options.segment or float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
+        return float(np.clip(PERIODS * 2 * np.pi / slowest, SHORTEST, LONGEST))
 
     def problem(self, start: Mapping[str, Array], held: Collection[int] = ()) -> Problem:
         """Return the segments of the records with the model; their length and steps follow from the start values.

@@ -65,7 +65,7 @@ def identify(
 ) -> Identification:
     """Return estimates of the free parameters with intervals and verdicts, from all records together.
 
-    robot: whose rigid links are trusted. prior: start and fallback, e.g. Prior.of(robot). progress: called with what is
+    robot: whose rigid links are trusted. prior: start and fallback, e.g. prior_of(robot). progress: called with what is
     done and its share. Raises StateError for records that do not fit the robot, CompilerError without a C compiler.
     """
     _check(records, robot)
@@ -159,11 +159,11 @@ def _falling_with_speed(
 
     The search starts from two velocities over which friction turns over, because it seldom finds one that is far off.
     """
-    options, values = replace(setup.options, static_friction=True), setup.prior.values
+    options, values = replace(setup.options, static_friction=True), setup.prior
     near = with_static_friction(best.problem.coordinates.parameters(best.z))
     for factor in SMOOTHER:
         smoother = {SMOOTHING: factor * values[SMOOTHING]}
-        richer = replace(setup, options=options, prior=replace(setup.prior, values={**values, **smoother}))
+        richer = replace(setup, options=options, prior={**values, **smoother})
         static = _optimum(richer, {**near, **smoother}, progress)
         if static.cost < best.cost - LIKELIER:
             setup, best = richer, static

@@ -7,7 +7,7 @@ A parameter is one line of KINDS; the equations that it enters are in `elastic_a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -114,8 +114,7 @@ class IdentifyOptions:
     payload, cubic_stiffness: free these, too (the payload is a point mass on the last link); friction also where the
     records show it. link_inertia: free a correction of mass and inertia of each link, positive definite and near the
     robot's own. position_torque: joint with a torque sum_k a_k sin k q + b_k cos k q, k = 1, 2, on the link, such as a
-    counterbalance; "": none. segment [s]: length of the pieces of the record that are predicted; None: from the
-    resonances. threads: number of segments evaluated at the same time.
+    counterbalance; "": none. threads: number of segments evaluated at the same time.
     """
 
     free: tuple[str, ...] = USUAL
@@ -126,15 +125,12 @@ class IdentifyOptions:
     cubic_stiffness: bool = False
     link_inertia: bool = False
     position_torque: str = ""
-    segment: float | None = None
     threads: int = 2
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.free if name not in KINDS]
         if unknown:
             raise ParameterError(f"free parameter {unknown[0]!r} is unknown; expected some of {', '.join(KINDS)}")
-        if self.segment is not None:
-            checks.positive("segment", self.segment, ParameterError)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -143,52 +139,33 @@ class IdentifyOptions:
         return tuple(name for name in KINDS if name in chosen)
 
 
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """Values before the records are read, and how far off they may be.
+Prior = Mapping[str, Array]
+"""Values of all parameters before the records are read, by name: (n,) of joints, (1,) of the payload."""
 
-    values: by parameter name, (n,) for those of joints, (1,) for those of the payload. widths: standard deviations of
-    the same shapes, of the logarithm for positive parameters; missing ones have a default.
+
+def prior_of(robot: Robot, values: Mapping[str, ArrayLike] | None = None) -> dict[str, Array]:
+    """Return the prior of a robot with diagonal K, M_m, D_l and D_m; values replace its own, 0 the others.
+
+    Raises ParameterError.
     """
-
-    values: Mapping[str, Array]
-    widths: Mapping[str, Array] = field(default_factory=dict)
-
-    @classmethod
-    def of(
-        cls, robot: Robot, values: Mapping[str, ArrayLike] | None = None, widths: Mapping[str, ArrayLike] | None = None
-    ) -> Prior:
-        """Return the prior of a robot with diagonal K, M_m, D_l and D_m; values replace its own, 0 the others.
-
-        Raises ParameterError.
-        """
-        of_robot: dict[str, ArrayLike] = {
-            "joint_stiffness": _diagonal("K", robot.K),
-            HARDENING: 0.0 if robot.cubic is None else robot.cubic,
-            "motor_inertia": _diagonal("M_m", robot.M_m),
-            "link_damping": _diagonal("D_l", robot.D_l),
-            "motor_damping": _diagonal("D_m", robot.D_m),
-        }
-        complete = {
-            **dict.fromkeys(KINDS, 0.0),
-            SMOOTHING: USUAL_SMOOTHING,
-            STRIBECK: USUAL_STRIBECK,
-            **of_robot,
-            **(values or {}),
-        }
-        return cls(_shaped(complete, robot.n), _shaped(widths or {}, robot.n))
+    unknown = [name for name in values or {} if name not in KINDS]
+    if unknown:
+        raise ParameterError(f"parameter {unknown[0]!r} is unknown; expected some of {', '.join(KINDS)}")
+    of_robot: dict[str, ArrayLike] = {
+        "joint_stiffness": _diagonal("K", robot.K),
+        HARDENING: 0.0 if robot.cubic is None else robot.cubic,
+        "motor_inertia": _diagonal("M_m", robot.M_m),
+        "link_damping": _diagonal("D_l", robot.D_l),
+        "motor_damping": _diagonal("D_m", robot.D_m),
+    }
+    usual = {**dict.fromkeys(KINDS, 0.0), SMOOTHING: USUAL_SMOOTHING, STRIBECK: USUAL_STRIBECK}
+    complete = {**usual, **of_robot, **(values or {})}
+    return {name: checks.vector(name, value, size(name, robot.n), ParameterError) for name, value in complete.items()}
 
 
 def size(name: str, n: int) -> int:
     """Return the number of entries of a parameter for n joints."""
     return 1 if name in PAYLOAD else n
-
-
-def _shaped(values: Mapping[str, ArrayLike], n: int) -> dict[str, Array]:
-    unknown = [name for name in values if name not in KINDS]
-    if unknown:
-        raise ParameterError(f"parameter {unknown[0]!r} is unknown; expected some of {', '.join(KINDS)}")
-    return {name: checks.vector(name, value, size(name, n), ParameterError) for name, value in values.items()}
 
 
 def _diagonal(name: str, matrix: Array) -> Array:

@@ -10,7 +10,7 @@ nothing is fitted. A rigid arm without skew has a constant deflection.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -66,7 +66,7 @@ def hold_out(
     identification: Identification, record: MotionRecord, robot: Robot, prior: Prior, options: IdentifyOptions
 ) -> HoldOut:
     """Return what models leave unexplained of a record; robot, prior, options: of the identification."""
-    values = {name: value.copy() for name, value in prior.values.items()}
+    values = {name: value.copy() for name, value in prior.items()}
     for estimate in identification.estimates:
         values[estimate.name][identification.joints.index(estimate.joint) if estimate.joint else 0] = estimate.value
     rigid, no_skew = (
@@ -74,7 +74,7 @@ def hold_out(
     )
     shares = []
     for changed in ({}, rigid, no_skew):
-        setup = Estimation([record], robot, replace(prior, values={**values, **changed}), options)
+        setup = Estimation([record], robot, {**values, **changed}, options)
         (fit,) = motion_fits(setup, setup.coordinates.mean)
         shares.append(fit.noise[DEFLECTION] / _rms(fit.measured[DEFLECTION]))
     return HoldOut(record.name, identification.joints, np.column_stack(shares))

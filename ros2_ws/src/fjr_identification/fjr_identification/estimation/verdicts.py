@@ -266,7 +266,7 @@ def estimates_at(
     mean[list(fixed)] = coordinates.mean[list(fixed)]
     estimates = []
     for k, (name, j) in enumerate(coordinates.free):
-        prior = float(setup.prior.values[name][j])
+        prior = float(setup.prior[name][j])
         ends = mean[k] + 1.96 * sd[k] * np.array([0.0, -1.0, 1.0])
         value, low, high = natural(ends, KINDS[name].coordinate).tolist()
         why = "; ".join(filter(None, (doubt, OTHER_SHAPE if shaped[k] and name in SHAPED else "")))

@@ -24,7 +24,7 @@ from fjr_core.motions.sine import MultiSine
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import compiled
 
-from ..estimation.parameters import Prior
+from ..estimation.parameters import prior_of
 from .elastic_motion import InformationModel, JointNoise, MotionEnvelope, elastic_motion, motion_function
 
 LONGEST_PERIOD = 10.0  # s
@@ -75,7 +75,7 @@ def design(
     before: reference whose information is compared, over the same duration and with the same noise. seed: of the random
     starts. Raises TrajectoryError if no motion keeps the limits, ParameterError for coupled joints.
     """
-    Prior.of(robot)  # as identification does, it refuses matrices that are not diagonal
+    prior_of(robot)  # as identification does, it refuses matrices that are not diagonal
     task = ExcitationDesign(robot, limits, noise, duration, sample_period)
     bounds, rng = task.deviations(before), np.random.default_rng(seed)
     best, most = None, 0.0
