@@ -197,11 +197,7 @@ def record_of_bag(
     the states. Raises BagError, RecordError.
     """
     bag = read_bag(path, mapping.namespace)
-    commands = (
-        [] if mapping.effort == record_map.BY_STATES else [each for each in (ANSWERS, EFFORTS) if bag.holds(each)]
-    )
-    if mapping.effort == record_map.BY_COMMANDS and not commands:
-        bag.held(ANSWERS)
+    commands = () if mapping.by_states else tuple(filter(bag.holds, (ANSWERS, EFFORTS)))
     signals = RunSignals(bag, joints, commands=commands, beside=())
     notes = signals.notes
     if not commands:

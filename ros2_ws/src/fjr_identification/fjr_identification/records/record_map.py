@@ -9,7 +9,7 @@ For tables, with one column per joint; `{joint}` stands for the joint's name, li
     effort: {column: "{joint}_torque", unit: N m, gear_ratio: 100}          # of the motor; at its shaft with gear_ratio
     joint_torque: {column: "{joint}_sensor", unit: [N m, N]}                # a sensor between gear and link; a list
 
-For bags: `bag: {namespace: /left, motor: position, gear_ratio: [100, 100, 80], effort: commands}`.
+For bags: `bag: {namespace: /left, motor: position, gear_ratio: [100, 100, 80], effort: states}`.
 
 `fjr identify LOG --write-map` proposes a mapping file of a table. It splits the name of a column into words:
 
@@ -43,8 +43,10 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LINK, MOTOR, EFFORT, TORQUE = "link_position", "motor_position", "effort", "joint_torque"
 UNITS = {LINK: ANGLES, MOTOR: ANGLES, EFFORT: TORQUES, TORQUE: TORQUES}
 KEYS = ("column", "unit", "joints", "gear_ratio", "sign")
-BY_COMMANDS, BY_STATES, HELD = "commands", "states", "control_period"
+HELD = "control_period"
 BAG_KEYS = {"namespace": (str,), "motor": (str,), "gear_ratio": (int, float, list), "effort": (str,), HELD: (object,)}
+CHOICES = {"motor": ("position", "torque"), "effort": ("commands", "states")}
+"""Of keys of a bag; the first one is the default."""
 
 PARQUET = ".parquet"
 HEADER_LINES = 1000  # empty lines and comments before the header, at most
@@ -95,14 +97,14 @@ class BagMap:
     """Meaning of the messages of a bag, as measurement.* of a scenario (docs/measurements.md).
 
     namespace: of the topics. by_torque: the link's effort is a torque sensor and there is no motor position.
-    gear_ratio (n,): motor angle in the messages per turn of q_m. effort: from the commands or from the states' motors;
-    "": from the commands if there are any. held [s]: how long the controller holds an effort, inf: not known.
+    gear_ratio (n,): motor angle in the messages per turn of q_m. by_states: the effort is that of the motors in the
+    states, although there may be commands. held [s]: how long the controller holds an effort, inf: not known.
     """
 
     gear_ratio: Array
     namespace: str = ""
     by_torque: bool = False
-    effort: str = ""
+    by_states: bool = False
     held: float = math.inf
 
 
@@ -121,14 +123,13 @@ def _bag(document: Mapping[Any, Any], n: int) -> BagMap:
     for key, value in given.items():
         if key not in BAG_KEYS or not isinstance(value, BAG_KEYS[key]):
             raise ParameterError(f"'bag' has {key}: {value!r}; expected {', '.join(BAG_KEYS)}")
-    motor, effort = given.get("motor", "position"), given.get("effort", "")
-    if motor not in ("position", "torque"):
-        raise ParameterError(f"bag.motor is {motor!r}; expected position or torque")
-    if effort not in ("", BY_COMMANDS, BY_STATES):
-        raise ParameterError(f"bag.effort is {effort!r}; expected {BY_COMMANDS} or {BY_STATES}")
+    for key, choices in CHOICES.items():
+        if given.get(key, choices[0]) not in choices:
+            raise ParameterError(f"bag.{key} is {given[key]!r}; expected {' or '.join(choices)}")
+    by_torque, by_states = (given.get(key) == choices[1] for key, choices in CHOICES.items())
     namespace = str(given.get("namespace", "")).strip("/")
     ratio = _numbers("bag.gear_ratio", given.get("gear_ratio", 1.0), n)
-    return BagMap(ratio, f"/{namespace}" if namespace else "", motor == "torque", effort, _period("bag.", given))
+    return BagMap(ratio, f"/{namespace}" if namespace else "", by_torque, by_states, _period("bag.", given))
 
 
 def _table(document: Mapping[Any, Any], joints: Sequence[str]) -> TableMap:
