@@ -31,8 +31,18 @@ from fjr_identification.estimation.parameters import IdentifyOptions, prior_of
 from fjr_identification.estimation.validation import hold_out
 from fjr_identification.page import fit_plots
 from fjr_identification.records.missing_sensors import lacking
-from fjr_identification.records.reading import Reading, read_record, record_of_table
-from fjr_identification.records.record_map import EFFORT, FILL_IN, LINK, MOTOR, TORQUE, TableMap, read_map, written_map
+from fjr_identification.records.reading import Reading, read_record, record_of_bag, record_of_table
+from fjr_identification.records.record_map import (
+    EFFORT,
+    FILL_IN,
+    LINK,
+    MOTOR,
+    TORQUE,
+    BagMap,
+    TableMap,
+    read_map,
+    written_map,
+)
 from fjr_identification.records.rigid_motion import KINDS
 from nodes.harness import nanoseconds
 from system.bags import Change, rewritten
@@ -353,6 +363,15 @@ def without_commands_before(begin: float) -> Change:
         return message if stamped or not topic.endswith("commands") else None
 
     return changed
+
+
+def test_efforts_in_the_states_are_the_commands_that_acted_before_them(
+    run: Path, scenario: Scenario, whole: MotionRecord
+) -> None:
+    record, notes = record_of_bag(run, BagMap(np.ones(2), by_states=True), scenario.joints)
+    assert "and so on in the states is the torque" in notes[0]
+    first = int(np.argmin(np.sum(np.abs(record.q_m - whole.q_m[0]), axis=1)))
+    np.testing.assert_allclose(record.u[first + 1 : first + 500], whole.u[:499], rtol=0, atol=1e-9)
 
 
 def test_bag_of_another_robot_is_refused(run: Path, tmp_path: Path, kr300: Robot) -> None:

@@ -120,7 +120,7 @@ def test_sensitivities_equal_central_differences(name: str) -> None:
     record = MotionRecord("a record", ("joint1",), dt, u, silent, silent, np.full_like(u, np.nan))
     segment = Segment(record, held(u, dt, 2), 6, 48, 6)
     given = parameters(joint) | {LAG: np.array([1.5e-3]), RATIO: np.array([4e-3])}
-    coordinates = ParameterCoordinates.of([(name, 0)], given, dict.fromkeys(KINDS, np.ones(1)))
+    coordinates = ParameterCoordinates(((name, 0),), given, np.ones(1))
     arm = ElasticArm(robot, coordinates.dynamic)
     shooting, signals = Shooting(arm, coordinates.delays), (("q_l", 0), ("q_m", 0))
 
@@ -170,7 +170,7 @@ def test_all_columns_of_the_sensitivities_are_the_derivatives_of_the_motion() ->
     p = values(3, joint_stiffness=300.0, motor_inertia=0.1, link_damping=0.3, motor_coulomb_friction=0.2, offset=0.01)
     free = [(name, j) for name in USUAL[:7] for j in range(3)]
     free += [("effort_delay", 0), ("effort_delay", 2)]
-    coordinates = ParameterCoordinates.of(free, p, dict.fromkeys(KINDS, np.ones(3)))
+    coordinates = ParameterCoordinates(tuple(free), p, np.ones(len(free)))
     arm = ElasticArm(robot, coordinates.dynamic)
     shooting, effort = Shooting(arm, coordinates.delays), held(2 * random.standard_normal((30, 3)), dt, 2)
     assert coordinates.delays == (0, 2)

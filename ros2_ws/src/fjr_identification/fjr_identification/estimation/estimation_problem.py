@@ -44,7 +44,8 @@ class Estimation:
     @cached_property
     def coordinates(self) -> ParameterCoordinates:
         """Return the coordinates of all free parameters."""
-        return ParameterCoordinates.of(free_parameters(self.records, self.robot, self.options), self.prior, self.widths)
+        free, widths = free_parameters(self.records, self.robot, self.options), self.widths
+        return ParameterCoordinates(free, self.prior, np.array([widths[name][i] for name, i in free], dtype=float))
 
     @property
     def widths(self) -> dict[str, Array]:
@@ -127,7 +128,9 @@ class Estimation:
         return Problem(segments, shooting, coordinates, signals, floor, states, width, self.options.threads)
 
 
-def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: IdentifyOptions) -> list[tuple[str, int]]:
+def free_parameters(
+    records: Sequence[MotionRecord], robot: Robot, options: IdentifyOptions
+) -> tuple[tuple[str, int], ...]:
     """Return (name, index) of what can be free with what is measured: a skew needs two signals of its joint."""
     joints = records[0].joints
     measured = set(measured_signals(records))
@@ -156,7 +159,7 @@ def free_parameters(records: Sequence[MotionRecord], robot: Robot, options: Iden
             no_torque = name == "torque_skew" and ("torque", j) not in measured
             if not (other or no_link or no_torque):
                 free.append((name, j))
-    return free
+    return tuple(free)
 
 
 def _rates(arm: ElasticArm, poses: Array, p: Mapping[str, Array]) -> tuple[float, float, Array]:

@@ -6,8 +6,8 @@ A parameter is one line of KINDS; the equations that it enters are in `elastic_a
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -178,25 +178,20 @@ def _diagonal(name: str, matrix: Array) -> Array:
 class ParameterCoordinates:
     """The vector z of the free parameters (name, index), in the order of KINDS, with the normal prior of each.
 
-    values: of all parameters, by name. mean, width (p,): of the prior of z. z of a positive parameter is its logarithm,
-    that of a lag its square.
-    held: entries of z with respect to which no derivatives are taken, so that they keep their value or go to the prior.
+    values: of all parameters in the prior, by name. width (p,): of the prior of z. z of a positive parameter is its
+    logarithm, that of a lag its square. held: entries of z with respect to which no derivatives are taken, so that they
+    keep their value or go to the prior.
     """
 
     free: tuple[tuple[str, int], ...]
-    values: Mapping[str, Array]
-    mean: Array
+    values: Prior
     width: Array
     held: frozenset[int] = frozenset()
 
-    @classmethod
-    def of(
-        cls, free: Sequence[tuple[str, int]], values: Mapping[str, Array], widths: Mapping[str, Array]
-    ) -> ParameterCoordinates:
-        """Return coordinates with the values as mean of the prior and the widths by name."""
-        width = np.array([widths[name][i] for name, i in free], dtype=float)
-        prior = cls(tuple(free), values, np.zeros(len(free)), width)
-        return replace(prior, mean=prior.of_values(values))
+    @cached_property
+    def mean(self) -> Array:
+        """Mean (p,) of the prior of z."""
+        return self.of_values(self.values)
 
     @cached_property
     def moving(self) -> tuple[int, ...]:
