@@ -369,7 +369,7 @@ def test_efforts_in_the_states_are_the_commands_that_acted_before_them(
     run: Path, scenario: Scenario, whole: MotionRecord
 ) -> None:
     record, notes = record_of_bag(run, BagMap(np.ones(2), by_states=True), scenario.joints)
-    assert "and so on in the states is the torque" in notes[0]
+    assert "the effort of shoulder_motor and so on in the states is the torque" in notes[0]
     first = int(np.argmin(np.sum(np.abs(record.q_m - whole.q_m[0]), axis=1)))
     np.testing.assert_allclose(record.u[first + 1 : first + 500], whole.u[:499], rtol=0, atol=1e-9)
 

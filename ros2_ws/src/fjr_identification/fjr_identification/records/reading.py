@@ -20,7 +20,7 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import PART, held_efforts
 from fjr_monitor.recording.bag import read_bag
-from fjr_monitor.recording.signals import ANSWERS, EFFORTS, RunSignals
+from fjr_monitor.recording.signals import RunSignals
 from fjr_msgs_py.names import motor_name
 
 from ..estimation.motion_record import MotionRecord, record_of_samples
@@ -196,27 +196,25 @@ def record_of_bag(
     Effort: the command that answers each state, where there is none the one before, or else the torque of the motors in
     the states. Raises BagError, RecordError.
     """
-    bag = read_bag(path, mapping.namespace)
-    commands = () if mapping.by_states else tuple(filter(bag.holds, (ANSWERS, EFFORTS)))
-    signals = RunSignals(bag, joints, commands=commands, beside=())
-    notes = signals.notes
-    if not commands:
-        notes += (f"no commands: the effort of {motor_name(joints[0])} and so on in the states is the torque",)
+    signals = RunSignals(read_bag(path, mapping.namespace), joints)
+    by_states, notes = mapping.by_states or signals.commands is None, signals.notes
+    if by_states:
+        notes += (f"the effort of {motor_name(joints[0])} and so on in the states is the torque",)
     elif missing := int((signals.answered < 0).sum()):
         notes += (f"{missing} states have no command: the one before is taken to hold",)
-    table = reading.part(path, _states(path, signals, mapping))
+    table = reading.part(path, _states(path, signals, mapping, by_states))
     q_l, q_m, u, tau = values = np.split(table[:, 1:], 4, axis=1)
     _check_complete(path, {"positions of the links": q_l, "positions of the motors": q_m, "joint torques": tau}, joints)
     return record_of_samples(path.name, joints, table[:, 0], values, mapping.held, notes)
 
 
-def _states(path: Path, signals: RunSignals, mapping: record_map.BagMap) -> Iterator[Array]:
+def _states(path: Path, signals: RunSignals, mapping: record_map.BagMap, by_states: bool) -> Iterator[Array]:
     """Yield time [s], q_l, q_m, u and joint torques of the states from the first effort on, PART states at a time."""
     n, before = len(mapping.gear_ratio), np.full(len(mapping.gear_ratio), np.nan)
     for start in range(0, len(signals.stamp), PART):
         rows = slice(start, start + PART)
         position, _, effort = signals.states(rows)
-        u = held_efforts(signals.efforts(rows) if signals.commands else effort[:, n:], before)
+        u = held_efforts(effort[:, n:] if by_states else signals.efforts(rows), before)
         unknown, before = np.full_like(u, np.nan), u[-1]
         q_m, tau = (unknown, effort[:, :n]) if mapping.by_torque else (position[:, n:] / mapping.gear_ratio, unknown)
         t = (signals.stamp[rows] - signals.stamp[0]) * 1e-9

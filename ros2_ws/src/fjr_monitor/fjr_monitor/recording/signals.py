@@ -7,7 +7,7 @@ run are found in whole arrays: the first message of each stamp, of the longest s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice, pairwise
 from typing import Any
@@ -88,7 +88,7 @@ class RecordedStates:
             f"{self._left_out} states are incomplete or not finite and left out" if self._left_out else "",
             self._no_motors,
         )
-        return tuple(note for note in said if note)
+        return tuple(filter(None, said))
 
     def _see(self, table: JointTable, position: Array) -> None:
         """Decide by the first states which signals the bag holds."""
@@ -137,24 +137,20 @@ class RunSignals:
         joints: tuple[str, ...],
         duration: float = np.inf,
         complete: Callable[[JointTable], JointTable] = lambda table: table,
-        commands: Collection[str] = (ANSWERS, EFFORTS),
-        beside: Collection[str] = (REFERENCE, EVENTS, names.DIAGNOSTICS),
     ) -> None:
         """Read a bag.
 
         duration [s] of stamped time; infinite: up to the last state that has a command. complete: returns the complete
-        states of a table. commands: topics of which the first that was recorded answers the states. beside: others.
+        states of a table; without it, states are as they were recorded.
         """
-        self.counters: dict[str, dict[str, str]] = {}
+        self._n, self.counters = len(joints), dict[str, dict[str, str]]()
         self.events: list[tuple[Any, int]] = []
-        self.commands = next(filter(bag.holds, commands), None)
-        beside = [*filter(bag.holds, beside)]
-        self.has_reference = REFERENCE in beside
-        kept = [STATES, *filter(None, [self.commands]), *[REFERENCE] * self.has_reference]
-        self._numbers = {topic: Columns() for topic in kept}
-        self._ahead = self._read(bag, joints, [*kept, *beside], complete)
+        self.commands = next(filter(bag.holds, (ANSWERS, EFFORTS)), None)
+        kept = [STATES, *filter(None, [self.commands]), *filter(bag.holds, [REFERENCE])]
+        self._numbers, self.has_reference = {topic: Columns() for topic in kept}, REFERENCE in kept
+        self._ahead = self._read(bag, joints, complete)
         self.events = [(event, sent - self._ahead) for event, sent in self.events]
-        self._references = _of_stamps(*self._choose(bag, commands, duration), self._times(REFERENCE))[0]
+        self._references = _of_stamps(*self._choose(bag, duration), self._times(REFERENCE))[0]
 
     def states(self, rows: slice) -> tuple[Array, Array, Array]:
         """Return positions, velocities (m, 2n) [rad, rad/s] and measured motor torques (m, n) [N m] of states."""
@@ -163,17 +159,18 @@ class RunSignals:
 
     def efforts(self, rows: slice) -> Array:
         """Return the commands (m, n) [N m] of states; NaN without one."""
-        if self.commands is None:
-            return np.full_like(self.states(rows)[2], np.nan)
-        return self._numbers[self.commands].at(self._answers[rows])["effort"]
+        return self._of(self.commands or ANSWERS, self._answers[rows])["effort"]
 
     def reference(self, rows: slice) -> tuple[Array, Array]:
         """Return recorded positions and velocities (m, n) of the reference at states; NaN without one."""
-        if not self.has_reference:
-            nothing = np.full_like(self.states(rows)[2], np.nan)
-            return nothing, nothing
-        found = self._numbers[REFERENCE].at(self._references[rows])
+        found = self._of(REFERENCE, self._references[rows])
         return found["position"], found["velocity"]
+
+    def _of(self, topic: str, places: Places) -> dict[str, Array]:
+        """Return the numbers of messages of a topic; NaN if it was not recorded."""
+        if topic in self._numbers:
+            return self._numbers[topic].at(places)
+        return dict.fromkeys(FIELDS[topic], np.full((len(places), self._n), np.nan))
 
     def close(self) -> None:
         """Forget the numbers; stamps and send times stay."""
@@ -190,16 +187,15 @@ class RunSignals:
         """Return the times [ns] from states to their commands, where there is one."""
         return (self.answered - self.sent)[self.answered >= 0]
 
-    def _read(
-        self, bag: Bag, joints: tuple[str, ...], topics: Collection[str], complete: Callable[[JointTable], JointTable]
-    ) -> int:
+    def _read(self, bag: Bag, joints: tuple[str, ...], complete: Callable[[JointTable], JointTable]) -> int:
         """Read the messages, with counters and events; times [ns] are kept among the numbers, as bytes.
 
         Return by how much the clock of the commands is ahead of that of the states [ns].
         """
         named = dict.fromkeys(self._numbers, joints) | {STATES: names.state_names(joints)}
         ahead = dict.fromkeys(self._numbers, -END)  # send minus receive time
-        for batch in bag.batches(topics, STATES, TOGETHER):
+        beside = filter(bag.holds, (names.DIAGNOSTICS, EVENTS))
+        for batch in bag.batches((*self._numbers, *beside), STATES, TOGETHER):
             for topic, numbers in self._numbers.items():
                 table = bag.table(batch[topic], named[topic])
                 table = complete(table) if topic == STATES else table
@@ -220,7 +216,7 @@ class RunSignals:
         stamp, sent = (self._numbers[topic].column(name).view(np.int64) for name in ("stamp", "sent"))
         return stamp, sent if topic == STATES else sent - self._ahead
 
-    def _choose(self, bag: Bag, commands: Collection[str], duration: float) -> tuple[Times, Times]:
+    def _choose(self, bag: Bag, duration: float) -> tuple[Times, Times]:
         """Find the rows of the run; return its stamps, and the send times [ns] of the ends of the section."""
         stamp, sent = self._times(STATES)
         if not len(stamp):
@@ -241,7 +237,7 @@ class RunSignals:
             rows = rows[: 1 + int(np.flatnonzero(answers[rows] >= 0)[-1])]
         self.stamp, self.sent, self.answered = stamp[rows], sent[rows], answered[rows]
         self._rows, self._answers = (begin + rows).astype(np.int32), answers[rows]
-        self.notes = self._notes(commands, len(starts), float(last - self.stamp[-1]) * 1e-9)
+        self.notes = self._notes(len(starts), float(last - self.stamp[-1]) * 1e-9)
         return self.stamp, sent[[0, -1]]
 
     def begin_with_reference(self, planned: Reference) -> None:
@@ -267,14 +263,14 @@ class RunSignals:
         found = (time < np.append(sent[1:], END)) & (time <= sent[-1] + AFTERWARDS)
         return np.where(found, place, -1).astype(np.int32), np.where(found, time, -1)
 
-    def _notes(self, commands: Collection[str], jumps: int, tail: float) -> tuple[str, ...]:
+    def _notes(self, jumps: int, tail: float) -> tuple[str, ...]:
         """Return the notes; tail [s]: from the last state of the run to that of the section."""
         end, unknown = (self.stamp[-1] - self.stamp[0]) * 1e-9, "no effort of the controller, no latency"
         ahead = f"the commands' clock is {self._ahead * 1e-9:+.4g} s ahead (two machines, or a slow network): corrected"
         paired = ""
-        if self.commands is None and commands:
-            paired = f"neither {' nor '.join(commands)} was recorded: {unknown}"
-        elif self.commands and not (self.answered >= 0).any():
+        if self.commands is None:
+            paired = f"neither {ANSWERS} nor {EFFORTS} was recorded: {unknown}"
+        elif not (self.answered >= 0).any():
             paired = f"no state is answered on {self.commands}: {unknown}"
         elif self.commands == EFFORTS:
             paired = f"no {ANSWERS}: a command of {EFFORTS} is taken to answer the last state sent before it"
@@ -284,7 +280,7 @@ class RunSignals:
             ahead if self._ahead else "",
             f"no state after {end:.3f} s is answered: the last {tail:.3g} s are not shown" if tail > TAIL else "",
         )
-        return tuple(note for note in said if note)
+        return tuple(filter(None, said))
 
 
 def _of_stamps(stamp: Times, sent: Times, times: tuple[Times, Times]) -> tuple[Places, Times]:
@@ -298,8 +294,8 @@ def _of_stamps(stamp: Times, sent: Times, times: tuple[Times, Times]) -> tuple[P
     if not len(inside):
         return np.full(len(stamp), -1, dtype=np.int32), np.full(len(stamp), -1)
     inside = inside[first_of_each_stamp(stamps[inside])]
-    place, found = match_stamps(stamp, stamps[inside])
-    rows = inside[place]
+    rows = inside[np.minimum(np.searchsorted(stamps[inside], stamp), len(inside) - 1)]
+    found = stamps[rows] == stamp
     return np.where(found, rows, np.int32(-1)), np.where(found, when[rows], -1)
 
 
@@ -313,10 +309,3 @@ def first_of_each_stamp(stamp: Times) -> NDArray[np.intp]:
     """Return the row of the first message of each stamp, in order of time; duplicated messages are dropped."""
     in_order = (stamp[1:] >= stamp[:-1]).all()  # sorting takes time and memory
     return np.flatnonzero(np.diff(stamp, prepend=stamp[:1] - 1)) if in_order else np.unique(stamp, return_index=True)[1]
-
-
-def match_stamps(stamps: Times, others: Times) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Find each stamp in the sorted `others`: return row indices, and a mask of the stamps that were found."""
-    place = np.searchsorted(others, stamps)
-    np.minimum(place, len(others) - 1, out=place)
-    return place, others[place] == stamps

@@ -178,20 +178,19 @@ def _selected(held: dict[str, Topic], wanted: Sequence[str], efforts: bool, path
 
     Without `wanted` the topics that command a robot are left out with a notice, unless `efforts`.
     """
-    commanding = sorted(name for name in held if name.endswith(COMMANDS))
-    for name in map(absolute, wanted):
+    commanding = [] if efforts else sorted(name for name in held if name.endswith(COMMANDS))
+    chosen = [*map(absolute, wanted)]
+    for name in chosen:
         if name not in held:
             raise BagError(f"{path} holds no message of {name}; it holds {', '.join(sorted(held)) or 'nothing'}")
-        if name in commanding and not efforts:
+        if name in commanding:
             raise BagError(f"{name} commands a robot; expected --efforts if it is to move")
-    if wanted:
-        return {name: held[name] for name in map(absolute, wanted)}
-    if commanding and not efforts:
+    if commanding and not wanted:
         tell(f"{', '.join(commanding)} not played: --efforts commands a robot")
-        held = {name: topic for name, topic in held.items() if name not in commanding}
-    if not held:
+    found = {name: held[name] for name in chosen or held if name not in commanding}
+    if not found:
         raise BagError(f"{path} holds no message to play")
-    return held
+    return found
 
 
 def _play(path: Path, topics: dict[str, Topic], rate: float, stop: threading.Event) -> Result:

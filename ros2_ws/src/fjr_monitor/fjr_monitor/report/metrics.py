@@ -6,17 +6,14 @@ docs/tables/json.md defines each metric.
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from fjr_core.config.law import robust as build_robust
-from fjr_core.files.text_file import write_text
 from fjr_core.law.rate import NO_RATE
 from fjr_core.model.joints import joined
 from fjr_monitor.diagnosis.diagnosis import FirstPass, SecondPass
@@ -158,10 +155,6 @@ class Report:
     def as_json(self) -> dict[str, Any]:
         """Return the metrics as JSON values; non-finite numbers become None."""
         return dict(finite({"status": self.status, "advice": self.advice, **asdict(self)}))
-
-    def write(self, path: Path) -> None:
-        """Write the report as JSON."""
-        write_text(path, json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n")
 
 
 class Metrics:

@@ -22,7 +22,7 @@ import numpy as np
 from fjr_core.config.scenario import Scenario, load_scenario
 from fjr_core.errors import FjrError, RecordError
 from fjr_core.files import importing
-from fjr_core.files.text_file import read_json, whole_file
+from fjr_core.files.text_file import read_json, whole_file, write_text
 from fjr_core.numerics.checks import Array
 from fjr_monitor.recording.bag import Bag, bag_folder, read_bag
 from fjr_monitor.recording.files import files_of
@@ -33,7 +33,7 @@ from fjr_monitor.report.picture import write_picture
 from fjr_monitor.report.run_page import draw_overview, write_run_page
 from fjr_monitor.report.shown import METRICS, PAGE, RunSummary, Shown, arm_replay
 from fjr_msgs_py.console.ending import Exit
-from fjr_msgs_py.console.output import DASH, Result, aligned, number, percent, tell
+from fjr_msgs_py.console.output import DASH, Result, aligned, json_text, number, percent, tell
 from fjr_msgs_py.console.provenance import Provenance, provenance
 from fjr_msgs_py.console.ros2 import play_command
 from fjr_msgs_py.scenarios import library
@@ -104,7 +104,7 @@ def report_bag(
         report = metrics.report(name, length, planned_s=duration, **known)
 
         def write(place: Path) -> None:
-            report.write(place / METRICS)
+            write_text(place / METRICS, json_text(report.as_json(), indent=2) + "\n")
             if pages:
                 write_run_page(place / PAGE, data, report, arm_replay(data))
 
