@@ -176,6 +176,10 @@ def test_lengths_beyond_the_file_cost_their_chunk_at_most(whole: Path, folder: P
     bag = read_bag(written(folder, data[: begin + 25] + struct.pack("<Q", 2**40) + data[begin + 33 :]))
     assert len(messages(bag)) >= SENT - IN_CHUNK
     assert bag.notes
+    for length in (2**62, 2**63, 2**64 - 1):  # of the data in the chunk
+        bag = read_bag(written(folder, data[: begin + 41] + struct.pack("<Q", length) + data[begin + 49 :]))
+        assert len(messages(bag)) >= SENT - IN_CHUNK
+        assert bag.notes or messages(bag) == ALL
     index = struct.pack("<QQ", begin, end - begin)
     place = data.rindex(index)
     for wrong in ((2**63 + 5, end - begin), (begin, 2**62)):

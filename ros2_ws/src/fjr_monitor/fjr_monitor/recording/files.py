@@ -22,13 +22,13 @@ from typing import Any, BinaryIO
 
 import lz4.frame
 import numpy as np
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Message, Schema, Statistics
 from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_msg
+from zstandard import ZstdDecompressor, ZstdError
 
 from fjr_core.errors import FjrError
 from fjr_monitor.recording.message_types import deserialize, typestore
@@ -43,7 +43,7 @@ HEAD, FOOTER, MESSAGE = struct.Struct("<BQ"), struct.Struct("<QQI"), struct.Stru
 LARGEST_RECORD = 2**30  # bytes
 MOST_EXPANSION, SMALLEST_LIMIT = 200, 2**24  # decompressed over compressed size; bytes always allowed
 BLOCK = 2**20  # bytes of a checksum that are read at a time
-UNREADABLE = (McapError, struct.error, ValueError, RuntimeError, EOFError, MemoryError, zstandard.ZstdError)
+UNREADABLE = McapError, struct.error, ValueError, OverflowError, RuntimeError, EOFError, MemoryError, ZstdError
 COMPRESSED = re.compile(r"^\s+compression_mode: *[\"']?(file|message)\b", re.IGNORECASE | re.MULTILINE)
 
 
@@ -310,7 +310,7 @@ def unpacked(content: bytes) -> bytes:
         raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
     data = chunk.data
     if chunk.compression == "zstd":
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+        with ZstdDecompressor().stream_reader(chunk.data) as reader:
             data = reader.read(chunk.uncompressed_size)
     elif chunk.compression == "lz4":
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, chunk.uncompressed_size)
