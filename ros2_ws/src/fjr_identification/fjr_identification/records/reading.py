@@ -21,6 +21,7 @@ from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import PART, held_efforts
 from fjr_monitor.recording.bag import read_bag
 from fjr_monitor.recording.signals import RunSignals
+from fjr_msgs_py.console.output import plural
 from fjr_msgs_py.names import motor_name
 
 from ..estimation.motion_record import MotionRecord, record_of_samples
@@ -201,7 +202,7 @@ def record_of_bag(
     if by_states:
         notes += (f"the effort of {motor_name(joints[0])} and so on in the states is the torque",)
     elif missing := int((signals.answered < 0).sum()):
-        notes += (f"{missing} states have no command: the one before is taken to hold",)
+        notes += (f"{plural(missing, 'state')} without a command: the one before is taken to hold",)
     table = reading.part(path, _states(path, signals, mapping, by_states))
     q_l, q_m, u, tau = values = np.split(table[:, 1:], 4, axis=1)
     _check_complete(path, {"positions of the links": q_l, "positions of the motors": q_m, "joint torques": tau}, joints)
