@@ -365,6 +365,28 @@ def without_commands_before(begin: float) -> Change:
     return changed
 
 
+def test_of_a_bag_whose_time_jumps_back_the_longest_part_is_read(
+    run: Path, scenario: Scenario, whole: MotionRecord, tmp_path: Path
+) -> None:
+    first: list[int] = []
+
+    def set_back(topic: str, message: Any) -> Any:
+        if topic not in TIMED:
+            return message
+        first.append(nanoseconds(message))
+        late = first[-1] - first[0] >= 2 * 10**9
+        stamp = replace(message.header.stamp, sec=message.header.stamp.sec - late)
+        return replace(message, header=replace(message.header, stamp=stamp))
+
+    record, notes = read_record(
+        rewritten(run / "bag", tmp_path / "bag", change=set_back), scenario.joints, scenario.robot, Reading()
+    )
+    assert "time jumps back 1 times: shown is the longest of 2 parts" in notes[0]
+    assert len(record.u) == pytest.approx(2.0 / whole.dt, abs=5)
+    np.testing.assert_array_equal(record.q_m, whole.q_m[: len(record.u)])
+    np.testing.assert_array_equal(record.u, whole.u[: len(record.u)])
+
+
 def test_efforts_in_the_states_are_the_commands_that_acted_before_them(
     run: Path, scenario: Scenario, whole: MotionRecord
 ) -> None:
