@@ -10,6 +10,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -394,6 +395,22 @@ def test_efforts_in_the_states_are_the_commands_that_acted_before_them(
     assert "the effort of shoulder_motor and so on in the states is the torque" in notes[0]
     first = int(np.argmin(np.sum(np.abs(record.q_m - whole.q_m[0]), axis=1)))
     np.testing.assert_allclose(record.u[first + 1 : first + 500], whole.u[:499], rtol=0, atol=1e-9)
+
+
+def test_a_position_that_is_missing_in_one_state_of_a_bag_is_refused(
+    run: Path, scenario: Scenario, tmp_path: Path
+) -> None:
+    sent = count()
+
+    def one_less(topic: str, message: Any) -> Any:
+        if topic != "/joint_states" or next(sent) != 700:
+            return message
+        elbow = np.array(message.name) == "elbow_motor"
+        return replace(message, position=np.where(elbow, np.nan, message.position))
+
+    bag = rewritten(run / "bag", tmp_path / "gap", change=one_less)
+    with pytest.raises(RecordError, match=r"^gap: q_m of elbow is nan at sample \d+; expected a finite number"):
+        read_record(bag, scenario.joints, scenario.robot, Reading())
 
 
 def test_bag_of_another_robot_is_refused(run: Path, tmp_path: Path, kr300: Robot) -> None:

@@ -79,8 +79,7 @@ class Estimation:
         positions = []
         for record in self.records:
             q = np.where(np.isfinite(record.q_l), record.q_l, record.q_m)
-            complete = q[np.all(np.isfinite(q), axis=1)]
-            positions.append(complete[:: max(1, len(complete) // MOST_POSES)])
+            positions.append(q[:: max(1, len(q) // MOST_POSES)])
         return np.vstack(positions)
 
     @cached_property

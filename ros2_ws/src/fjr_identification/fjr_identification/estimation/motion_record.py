@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly, savgol_filter
 
-from fjr_core.errors import RecordError, StateError
+from fjr_core.errors import RecordError, StateError, prefixed
 from fjr_core.model import springs
 from fjr_core.numerics.checks import Array, positive
 from fjr_core.numerics.one_line import joints as joints_of
@@ -39,9 +39,9 @@ class MotionRecord:
     """k samples of n joints, `dt` [s] apart, reflected to the joint side.
 
     u (k, n) [N m]: effort that the motors were given from each sample to the next. q_l, q_m (k, n) [rad or m]:
-    positions of links and motors, NaN: not measured (a joint without a link encoder has a column of NaN). torque (k, n)
-    [N m]: spring torque from a sensor, NaN: none. name: of the file, for messages. Raises StateError for wrong shapes,
-    an effort that is not finite and a joint without any measurement.
+    positions of links and motors. torque (k, n) [N m]: spring torque from a sensor. What is not measured is a column of
+    NaN. name: of the file, for messages. Raises StateError for wrong shapes, a number that is not finite in a column
+    that is measured, and a joint without any position.
     """
 
     name: str
@@ -61,11 +61,13 @@ class MotionRecord:
         shape = np.shape(self.u)
         if len(shape) != 2 or shape[1] != len(self.joints):
             raise StateError(f"u has shape {shape}; expected (samples, {len(self.joints)})")
-        for name in SIGNALS:
-            if np.shape(getattr(self, name)) != shape:
-                raise StateError(f"{name} has shape {np.shape(getattr(self, name))}; expected {shape}")
-        if not np.all(np.isfinite(self.u)):
-            raise StateError("u is not finite at some sample; expected an effort at each sample")
+        for name in ("u", *SIGNALS):
+            if np.shape(values := getattr(self, name)) != shape:
+                raise StateError(f"{name} has shape {np.shape(values)}; expected {shape}")
+            measured = np.isfinite(values).any(axis=0) | (name == "u")
+            for k, j in np.argwhere(measured & ~np.isfinite(values))[:1]:
+                wrong = f"{name} of {self.joints[j]} is {values[k, j]} at sample {k}"
+                raise StateError(f"{wrong}; expected a finite number at every sample")
         for j, joint in enumerate(self.joints):
             if not any(np.any(np.isfinite(getattr(self, name)[:, j])) for name in ("q_l", "q_m")):
                 raise StateError(f"{joint} has neither link nor motor positions; expected at least one of them")
@@ -185,6 +187,8 @@ def record_of_samples(
     a sample. notes: on the samples. Raises RecordError.
     """
     q_l, q_m, u, torque = signals
+    with prefixed(f"{name}: ", StateError, RecordError):
+        MotionRecord(name, joints, 1.0, u, q_l, q_m, torque)  # refuses gaps, which a grid would hide
     dt, effort, sampled, on_grid = on_uniform_grid(name, t, u, np.hstack([q_l, q_m, torque]))
     if held * LOST < dt:
         effort = held_longer(effort, held / dt)
@@ -227,13 +231,13 @@ class FilteredMotion:
 
 def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array]) -> FilteredMotion:
     """Return the filtered motion of a record; values: of all parameters, by name."""
-    q_l, q_m = _filled(record.q_l), _filled(record.q_m)
+    q_l, q_m = record.q_l.copy(), record.q_m.copy()
     no_link, no_motor = (np.all(np.isnan(q), axis=0) for q in (record.q_l, record.q_m))
     q_l[:, no_link], q_m[:, no_motor] = q_m[:, no_link], q_l[:, no_motor]
     motion = (smoothed(q_l, record.dt, order).T for order in range(3))
     rigid = np.asarray(arm.link_torque(*motion, packed(arm, values))[0].full().T)
     sensed = np.isfinite(record.torque).any(axis=0)
-    torque = np.where(sensed, _filled(record.torque), rigid)
+    torque = np.where(sensed, record.torque, rigid)
     stiffness = zip(values["joint_stiffness"], values[HARDENING], torque.T, strict=True)
     zeta = [springs.root(K, cubic, tau, np) for K, cubic, tau in stiffness]
     deflection = smoothed(np.transpose(zeta) + values["offset"], record.dt)
@@ -241,16 +245,6 @@ def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array])
     q_m[:, no_motor] = (q_l + deflection)[:, no_motor]
     (q_l, v_l, a_l), (q_m, v_m, a_m) = ([smoothed(q, record.dt, order) for order in range(3)] for q in (q_l, q_m))
     return FilteredMotion(record.dt, q_l, v_l, a_l, q_m, v_m, a_m, smoothed(record.u, record.dt), rigid)
-
-
-def _filled(signal: Array) -> Array:
-    """Return a signal with missing samples interpolated; columns without any stay NaN."""
-    filled, k = signal.copy(), np.arange(len(signal))
-    for j in range(signal.shape[1]):
-        measured = np.isfinite(signal[:, j])
-        if measured.any() and not measured.all():
-            filled[:, j] = np.interp(k, k[measured], signal[measured, j])
-    return filled
 
 
 def smoothed(signal: Array, dt: float, order: int = 0) -> Array:

@@ -7,7 +7,7 @@ Tables are CSV (also compressed) or Parquet. Memory grows with the numbers that 
 from __future__ import annotations
 
 import csv
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -204,9 +204,7 @@ def record_of_bag(
     elif missing := int((signals.answered < 0).sum()):
         notes += (f"{plural(missing, 'state')} without a command: the one before is taken to hold",)
     table = reading.part(path, _states(path, signals, mapping, by_states))
-    q_l, q_m, u, tau = values = np.split(table[:, 1:], 4, axis=1)
-    _check_complete(path, {"positions of the links": q_l, "positions of the motors": q_m, "joint torques": tau}, joints)
-    return record_of_samples(path.name, joints, table[:, 0], values, mapping.held, notes)
+    return record_of_samples(path.name, joints, table[:, 0], np.split(table[:, 1:], 4, axis=1), mapping.held, notes)
 
 
 def _states(path: Path, signals: RunSignals, mapping: record_map.BagMap, by_states: bool) -> Iterator[Array]:
@@ -222,14 +220,3 @@ def _states(path: Path, signals: RunSignals, mapping: record_map.BagMap, by_stat
         yield np.column_stack([t, position[:, :n], q_m, u, tau])[np.isfinite(u).all(axis=1)]
     if not np.isfinite(before).all():
         raise RecordError(f"{path} holds no effort of all joints; expected commands, or efforts in the states")
-
-
-def _check_complete(path: Path, signals: dict[str, Array], joints: Sequence[str]) -> None:
-    """Raise RecordError for a signal that is there at some samples only."""
-    for what, values in signals.items():
-        known = np.isfinite(values)
-        for j in np.flatnonzero(known.any(axis=0) & ~known.all(axis=0)):
-            row = int(np.argmin(known[:, j]))
-            raise RecordError(f"{path}: {what} of {joints[j]} are missing or not finite at sample {row}; expected all")
-    if not np.isfinite(values := np.hstack(list(signals.values())[:2])).any():
-        raise RecordError(f"{path}: no position of {', '.join(joints)} in its {values.shape[0]} states; expected some")
