@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly, savgol_filter
 
@@ -68,15 +69,17 @@ class MotionRecord:
             for k, j in np.argwhere(measured & ~np.isfinite(values))[:1]:
                 wrong = f"{name} of {self.joints[j]} is {values[k, j]} at sample {k}"
                 raise StateError(f"{wrong}; expected a finite number at every sample")
-        for j, joint in enumerate(self.joints):
-            if not any(np.any(np.isfinite(getattr(self, name)[:, j])) for name in ("q_l", "q_m")):
-                raise StateError(f"{joint} has neither link nor motor positions; expected at least one of them")
+        for j in np.flatnonzero(~(self.measured("q_l") | self.measured("q_m")))[:1]:
+            raise StateError(f"{self.joints[j]} has neither link nor motor positions; expected at least one of them")
+
+    def measured(self, signal: str) -> NDArray[np.bool_]:
+        """Return the joints (n,) of which a signal of SIGNALS is measured."""
+        return np.asarray(np.isfinite(getattr(self, signal)[:1]).any(axis=0))
 
     @property
     def ranges(self) -> Array:
         """Return the range of the positions of each joint (n,), of the side that moves further."""
-        with np.errstate(all="ignore"):
-            return np.nan_to_num(np.fmax(np.ptp(self.q_l, axis=0), np.ptp(self.q_m, axis=0)))
+        return np.fmax(np.ptp(self.q_l, axis=0), np.ptp(self.q_m, axis=0))
 
     @cached_property
     def still(self) -> tuple[str, ...]:
@@ -90,7 +93,7 @@ class MotionRecord:
 
     def both_sides(self, j: int) -> bool:
         """Return whether link and motor of joint j are measured."""
-        return bool(np.isfinite(self.q_l[:, j]).any() and np.isfinite(self.q_m[:, j]).any())
+        return bool(self.measured("q_l")[j] and self.measured("q_m")[j])
 
 
 def on_uniform_grid(name: str, t: Array, held: Array, sampled: Array) -> tuple[float, Array, Array, tuple[str, ...]]:
@@ -232,12 +235,11 @@ class FilteredMotion:
 def filtered(record: MotionRecord, arm: ElasticArm, values: Mapping[str, Array]) -> FilteredMotion:
     """Return the filtered motion of a record; values: of all parameters, by name."""
     q_l, q_m = record.q_l.copy(), record.q_m.copy()
-    no_link, no_motor = (np.all(np.isnan(q), axis=0) for q in (record.q_l, record.q_m))
+    no_link, no_motor = ~record.measured("q_l"), ~record.measured("q_m")
     q_l[:, no_link], q_m[:, no_motor] = q_m[:, no_link], q_l[:, no_motor]
     motion = (smoothed(q_l, record.dt, order).T for order in range(3))
     rigid = np.asarray(arm.link_torque(*motion, packed(arm, values))[0].full().T)
-    sensed = np.isfinite(record.torque).any(axis=0)
-    torque = np.where(sensed, record.torque, rigid)
+    torque = np.where(record.measured("torque"), record.torque, rigid)
     stiffness = zip(values["joint_stiffness"], values[HARDENING], torque.T, strict=True)
     zeta = [springs.root(K, cubic, tau, np) for K, cubic, tau in stiffness]
     deflection = smoothed(np.transpose(zeta) + values["offset"], record.dt)

@@ -69,7 +69,7 @@ def cut(record: MotionRecord, effort: HeldEffort, length: float) -> list[Segment
 def measured_signals(records: Sequence[MotionRecord]) -> tuple[tuple[str, int], ...]:
     """Return (signal, joint) of all that is measured in some record."""
     pairs = [(signal, j) for signal in SIGNALS for j in range(len(records[0].joints))]
-    return tuple((s, j) for s, j in pairs if any(np.any(np.isfinite(getattr(r, s)[:, j])) for r in records))
+    return tuple((s, j) for s, j in pairs if any(record.measured(s)[j] for record in records))
 
 
 @dataclass(frozen=True, eq=False)

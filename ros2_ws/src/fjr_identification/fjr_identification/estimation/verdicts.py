@@ -302,9 +302,8 @@ def reason(name: str, verdict: str, records: Sequence[MotionRecord], j: int, par
     """
     if verdict == IDENTIFIED:
         return ""
-    link, motor = (any(np.isfinite(getattr(r, q)[:, j]).any() for r in records) for q in ("q_l", "q_m"))
-    seen = [r.q_m[:, j] if np.isfinite(r.q_m[:, j]).any() else r.q_l[:, j] for r in records]
-    moved = max(float(np.nanmax(q) - np.nanmin(q)) for q in seen)
+    link, motor = (any(r.measured(q)[j] for r in records) for q in ("q_l", "q_m"))
+    moved = max(float(np.ptp((r.q_m if r.measured("q_m")[j] else r.q_l)[:, j])) for r in records)
     if moved < STILL and name not in ("offset", "joint_stiffness"):
         return f"the joint stands still (it moves {moved:.2g} rad); move it"
     shared = f"nearly the effect of {partner}; " if partner else ""

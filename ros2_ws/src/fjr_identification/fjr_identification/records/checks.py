@@ -81,11 +81,11 @@ def constant(record: MotionRecord) -> Iterator[Finding]:
     for j, joint in enumerate(record.joints):
         for name in ("q_l", "q_m", "torque", "u"):
             values = getattr(record, name)[:, j]
-            if joint not in record.still and np.all(np.isfinite(values)) and np.ptp(values) == 0:
+            if joint not in record.still and np.ptp(values) == 0:
                 seen = f"{name} of {joint} is {values[0]:.6g} at every sample"
                 yield contradiction(CONSTANT, joint, seen, "a changing signal")
         deflection = record.q_m[:, j] - record.q_l[:, j]
-        if np.all(np.isfinite(deflection)) and np.ptp(record.q_m[:, j]) > 0 and np.ptp(deflection) < SAME:
+        if np.ptp(record.q_m[:, j]) > 0 and np.ptp(deflection) < SAME:
             seen = f"q_m - q_l of {joint} is constant at every sample"
             yield contradiction(CONSTANT, joint, seen, "two measurements")
 
@@ -150,11 +150,11 @@ def _runs(at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _changing(record: MotionRecord) -> Iterator[tuple[str, str, Array]]:
-    """Yield the name, joint and values (k,) of each complete signal that changes."""
+    """Yield the name, joint and values (k,) of each measured signal that changes."""
     for name in SIGNALS:
         for j, joint in enumerate(record.joints):
             x = getattr(record, name)[:, j]
-            if np.all(np.isfinite(x)) and np.ptp(x) > 0:
+            if np.ptp(x) > 0:
                 yield name, joint, x
 
 

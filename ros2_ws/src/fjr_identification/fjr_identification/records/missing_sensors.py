@@ -107,13 +107,13 @@ def least_seen(record: MotionRecord, robot: Robot) -> dict[str, tuple[float, flo
 
 @lru_cache(maxsize=2)
 def _scans(record: MotionRecord, robot: Robot) -> dict[str, Scan]:
-    """Return the scan of each moving joint of one measured side, by name; none for a short or incomplete record."""
-    if np.isfinite(record.q_l).all() and np.isfinite(record.q_m).all():
+    """Return the scan of each moving joint of one measured side, by name; none for a short record."""
+    if record.measured("q_l").all() and record.measured("q_m").all():
         return {}
     record = _most_moving(record)
     motion = rigid_motion(record, robot)
     short = len(record.u) * record.dt < SHORTEST or len(motion.u) <= SETTLING
-    if short or not np.all(np.isfinite(motion.position)):
+    if short:
         return {}
     one_sided = [j for j in record.driven if not motion.both[j]]
     count = round(np.log(LARGEST) / np.log(STEP))
@@ -125,7 +125,7 @@ def _scans(record: MotionRecord, robot: Robot) -> dict[str, Scan]:
 def _most_moving(record: MotionRecord) -> MotionRecord:
     """Return the LONGEST seconds of a record in which the joints move farthest."""
     count, q = int(LONGEST / record.dt), np.where(np.isfinite(record.q_m), record.q_m, record.q_l)
-    if len(q) <= count or not np.all(np.isfinite(q)):
+    if len(q) <= count:
         return record
     path = np.append(0.0, np.cumsum(np.sum(np.abs(np.diff(q, axis=0)), axis=1)))
     first = int(np.argmax(path[count - 1 :] - path[: len(path) - count + 1]))
@@ -183,10 +183,7 @@ def lacking(records: Sequence[MotionRecord], robot: Robot) -> list[str]:
     of_sensors: dict[tuple[str, ...], list[str]] = {}
     for j, joint in enumerate(records[0].joints):
         signals = {LINK: "q_l", MOTOR: "q_m", TORQUE: "torque"}
-        there = {
-            sensor: any(np.isfinite(getattr(record, name)[:, j]).any() for record in records)
-            for sensor, name in signals.items()
-        }
+        there = {sensor: any(record.measured(name)[j] for record in records) for sensor, name in signals.items()}
         absent = tuple(sensor for sensor in signals if not there[sensor])
         if absent in LACKING:
             of_sensors.setdefault(absent, []).append(joint)
