@@ -120,10 +120,19 @@ def test_spring_that_hardens_has_its_cubic_stiffness() -> None:
 
 
 @cache
-def lift(forearm: float = 1.0, **damping: tuple[float, float]) -> fjr.Robot:
+def lift(forearm: float = 1.0, **changed: Any) -> fjr.Robot:
     """An elbow on a lift, a revolute joint on a prismatic one."""
     urdf = URDF.replace('<mass value="1.0"/>', f'<mass value="{forearm}"/>')
-    return fjr.robot_from_urdf(urdf, ["lift", "elbow"], [4e4, 300.0], [3.0, 0.05], **damping)
+    return fjr.robot_from_urdf(urdf, ["lift", "elbow"], [4e4, 300.0], [3.0, 0.05], **changed)
+
+
+def of_lift(**fault: Any) -> Finding:
+    """Return what is found in a loop with the lift and a fault."""
+    law = fjr.TrackingLaw(lift(), fjr.synthesize(lift(), 6.0, PERIOD), compile=True)
+    start = lift().state(0.0, np.linalg.solve(lift().K, lift().grad_P_l(np.zeros(2))), [0.15, 1.2], [0.15, 1.2])
+    seen = recorded(law, fjr.Sine([0.05, 0.4], [3.0, 3.0]), start, round(DURATION / PERIOD), **fault)
+    (finding,) = diagnose(seen, law, axes=replace(JointTolerances.plain(2), names=("lift", "elbow"))).findings
+    return finding
 
 
 @pytest.mark.parametrize(
@@ -139,11 +148,7 @@ def lift(forearm: float = 1.0, **damping: tuple[float, float]) -> fjr.Robot:
 def test_a_fault_of_an_arm_with_a_prismatic_joint_has_the_unit_of_its_joint(
     fault: dict[str, Any], kind: str, joint: str, size: float, unit: str
 ) -> None:
-    law = fjr.TrackingLaw(lift(), fjr.synthesize(lift(), 6.0, PERIOD), compile=True)
-    reference = fjr.Sine([0.05, 0.4], [3.0, 3.0])
-    start = lift().state(0.0, np.linalg.solve(lift().K, lift().grad_P_l(np.zeros(2))), [0.15, 1.2], [0.15, 1.2])
-    seen = recorded(law, reference, start, round(DURATION / PERIOD), **fault)
-    (finding,) = diagnose(seen, law, axes=replace(JointTolerances.plain(2), names=("lift", "elbow"))).findings
+    finding = of_lift(**fault)
     kinds = finding.kind.split(" or ")
     assert (kind in kinds, finding.joint, finding.unit) == (True, joint, unit), finding.sentence
     # An offset of the link of a lift is the opposite one of its motor: the weight is the same everywhere.
@@ -160,6 +165,17 @@ def test_wrong_mass_is_a_gravity_load_on_its_link() -> None:
     weight = ca.Function("weight", [q], [heavier.links.grad_P_l(q) - MODEL.links.grad_P_l(q)])
     largest = np.abs(weight(record(heavier).position[:, :2].T).full()).max()
     assert finding.size == pytest.approx(largest, rel=0.05)
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.3, -1.2], ids="{} rad".format)
+def test_a_base_at_an_angle_has_another_direction_of_gravity(angle: float) -> None:
+    """The axes of lift and elbow see gravity along z and x: the finding says what the robot file should."""
+    turned = -9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle)
+    finding = of_lift(robot=lift(gravity=turned))
+    assert (finding.kind, finding.side, finding.unit) == ("direction of gravity", "base", "rad")
+    assert finding.size == pytest.approx(abs(angle), rel=0.02)
+    said = finding.sentence.partition("robot.gravity [")[2].partition("]")[0]
+    assert np.array(said.split(", "), dtype=float) == pytest.approx(turned, abs=0.05)
 
 
 def encoder(kind: str, channel: int, size: float, begin: float) -> Sensed:

@@ -3,9 +3,10 @@
 
 Each hypothesis is a set of columns; the residual is their sum with unknown coefficients. A wrong stiffness, for
 example, leaves opposite torques proportional to the deflection in the two equations of its joint. A payload is a body
-fixed to a link: its joint torques are linear in its ten inertial parameters. A fault of an encoder adds an error to the
-measured position, and its rate to the measured velocity: that of a gain is the position, that of an eccentric disc the
-sine of the angle, once a turn, that of a drift the time.
+fixed to a link: its joint torques are linear in its ten inertial parameters. A base that stands at an angle changes
+gravity in its frame, in which the weight is linear. A fault of an encoder adds an error to the measured position, and
+its rate to the measured velocity: that of a gain is the position, that of an eccentric disc the sine of the angle, once
+a turn, that of a drift the time.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 from fjr_core.errors import RobotError
 from fjr_core.model import springs
+from fjr_core.model.newton_euler import ChainAt, mass_of
 from fjr_core.model.rigid_arm import ArmDynamics
 from fjr_core.numerics.checks import Array
 
@@ -26,7 +28,7 @@ from .residuals import Residuals, over_rows
 
 SECOND_MOMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 PARAMETERS = 4 + len(SECOND_MOMENTS)
-LINK, MOTOR, JOINT = "link", "motor", "joint"
+LINK, MOTOR, JOINT, BASE = "link", "motor", "joint", "base"
 CABLE = "pull of a cable"
 SMOOTHING = 0.01, 1e-3  # rad/s, m/s; speed of revolute and prismatic joints below which its sign is uncertain
 FREEPLAYS = np.geomspace(0.02, 2.0, 40)  # tested half-widths of backlash, relative to the RMS deflection
@@ -34,14 +36,16 @@ LIMITS = np.geomspace(2e-3, 0.95, 60)  # of an effort, relative to the largest o
 CLIPPED = 5  # smallest number of blocks in which an effort exceeds its limit
 LONGEST_ARM = 1.5  # m; largest considered distance of a payload from its joint
 STEPS = 60  # of the fit of a payload
+OF_GRAVITY = 0.05  # largest change of the size of gravity that is attributed to its direction
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Possible fault: kind, joint (index), side, unit of its size, and the residual (b, 2n) that it causes.
+    """Possible fault: kind, joint (index; 0 of the base), side, unit of its size, and the residual (b, 2n) it causes.
 
     columns (b, 2n, p): residual per unknown. size: returns the size from the p fitted unknowns, None if the fault is
-    impossible. nonlinear: fits dependent unknowns from (A, c) = (X'X, X'y); None: least squares.
+    impossible. nonlinear: fits dependent unknowns from (A, c) = (X'X, X'y); None: least squares. remedy: what the model
+    should say, from the p unknowns.
     """
 
     kind: str
@@ -51,6 +55,7 @@ class Hypothesis:
     columns: Array
     size: Callable[[Array], float | None] = lambda fitted: float(fitted[0])
     nonlinear: Callable[[Array, Array], Array] | None = None
+    remedy: Callable[[Array], str] = lambda fitted: ""
 
     @property
     def unknowns(self) -> int:
@@ -59,7 +64,9 @@ class Hypothesis:
 
     def place(self, names: Sequence[str]) -> str:
         """Return where the fault is, with the names of the joints."""
-        return names[self.joint] if self.side == JOINT else f"{self.side} of {names[self.joint]}"
+        if self.side in (JOINT, BASE):
+            return names[self.joint] if self.side == JOINT else BASE
+        return f"{self.side} of {names[self.joint]}"
 
 
 def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
@@ -70,6 +77,7 @@ def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
         for each in (*of_sides, *_of_spring(seen, j), *_of_motor(seen, j, n + j)):
             yield replace(each, unit=units.of(each.unit))
         yield from _of_body(seen, j, units.of("kg m^2"))
+    yield from _of_base(seen)
 
 
 def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypothesis]:
@@ -158,6 +166,32 @@ def _of_body(seen: Residuals, j: int, unit: str) -> Iterator[Hypothesis]:
     yield Hypothesis("gravity load", j, LINK, effort, columns, largest, _point_mass)
     parts = columns[:, :, :1] if unit == "kg" else columns[:, :, 4:7]
     yield Hypothesis("inertia", j, LINK, unit, parts, lambda fitted: float(fitted.sum()))
+
+
+def _of_base(seen: Residuals) -> Iterator[Hypothesis]:
+    """Return the angle between gravity in the frame of the base and that of the model, for links with bodies."""
+    n, links = seen.robot.n, seen.robot.links
+    if not links.bodies or links.end_effector is None or not links.end_effector.gravity.any():
+        return
+    q_l, gravity, modelled = ca.SX.sym("q_l", n), ca.SX.sym("gravity", 3), links.end_effector.gravity
+    along = [links.order.index(i) for i in range(n)]
+    chain = ChainAt(links.bodies, [mass_of(body) for body in links.bodies], gravity, q_l[along])
+    weight = ca.jacobian(chain.gravity_torque()[list(links.order)], gravity)
+    function = ca.Function("weight", [q_l], [ca.densify(weight)])
+    weights = over_rows(lambda rows: function(rows).full(), seen.q[:, :n], 3)
+    columns = np.zeros((len(seen.r), 2 * n, 3))
+    columns[:, :n] = -seen.means(weights)
+
+    def angle(fitted: Array) -> float | None:
+        size, turned = np.linalg.norm(modelled), np.linalg.norm(modelled + fitted)
+        if abs(turned / size - 1) > OF_GRAVITY:
+            return None
+        return float(np.arccos(np.clip(modelled @ (modelled + fitted) / (size * turned), -1, 1)))
+
+    def remedy(fitted: Array) -> str:
+        return f" (robot.gravity {np.round(modelled + fitted, 3).tolist()})"
+
+    yield Hypothesis("direction of gravity", 0, BASE, "rad", columns, angle, remedy=remedy)
 
 
 def _point_mass(A: Array, c: Array) -> Array:

@@ -16,7 +16,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 from fjr_msgs_py.console.output import number, percent
 
-from .hypotheses import JOINT, LINK, MOTOR, Hypothesis, hypotheses
+from .hypotheses import BASE, JOINT, LINK, MOTOR, Hypothesis, hypotheses
 from .residuals import Residuals, explained_share
 from .verdict import EXTERNAL
 
@@ -51,12 +51,13 @@ REACTION = 0.2
 
 
 class FittedFault(NamedTuple):
-    """A fitted fault: weighted sum of squares that it leaves, size, since which block, 0: all the time."""
+    """A fitted fault: weighted sum of squares that it leaves, size, since which block (0: all the time), remedy."""
 
     left: float
     size: float
     fault: Hypothesis
     onset: int = 0
+    remedy: str = ""
 
     @property
     def kind(self) -> str:
@@ -65,7 +66,7 @@ class FittedFault(NamedTuple):
 
     def place(self, names: Sequence[str]) -> str:
         """Return kind and place of the fault, with the names of the joints."""
-        return f"{self.fault.place(names)}: {self.kind} of {self.size:.3g} {self.fault.unit}"
+        return f"{self.fault.place(names)}: {self.kind} of {self.size:.3g} {self.fault.unit}{self.remedy}"
 
 
 def fits(seen: Residuals) -> list[FittedFault]:
@@ -85,7 +86,7 @@ def fits(seen: Residuals) -> list[FittedFault]:
             theta, left, onset = _since(A, c, float((y**2).sum()), y.size) or (theta, left, 0)
         size = fault.size(theta)
         if size is not None:
-            found.append(FittedFault(left, size, fault, onset))
+            found.append(FittedFault(left, size, fault, onset, fault.remedy(theta)))
     return sorted(found, key=lambda fit: fit.left)
 
 
@@ -130,19 +131,20 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     simplest = min(each.fault.unknowns for each in equal)
     kinds = {(each.kind, each.fault.joint): each for each in reversed(equal) if each.fault.unknowns == simplest}
     several = list(kinds.values())[::-1]
-    joint, same = several[0].fault.joint, len({each.fault.joint for each in several}) == 1
-    if share < EXPLAINED or not same or (best.kind in OF_COMMAND and not _acts(seen, best)):
+    joints = {names[each.fault.joint] for each in several if each.fault.side != BASE}
+    if share < EXPLAINED or len(joints) > 1 or (best.kind in OF_COMMAND and not _acts(seen, best)):
         return (external_torque(seen, names) or at_one_place(seen, names) or unexplained(best, share, names),)
+    joint = "".join(joints)
     if len(several) > MOST_KINDS:
-        what = f"{names[joint]}: no one kind of fault explains the residual torque better than others"
-        return (Finding(UNKNOWN, names[joint], share=share, sentence=what),)
+        what = f"{joint}: no one kind of fault explains the residual torque better than others"
+        return (Finding(UNKNOWN, joint, share=share, sentence=what),)
     first = several[0]
     what = " or ".join(each.place(names) for each in several) + f" explains {percent(share, 0)} of the residual torque"
     since = float(seen.found.t[first.onset * seen.block]) if first.onset else 0.0
     what += f" from {number(since, 's')} on" if since else ""
     kind = " or ".join(each.kind for each in several)
     side = first.fault.side if len({each.fault.side for each in several}) == 1 else ""
-    return (Finding(kind, names[joint], side, first.size, first.fault.unit, share, what, since),)
+    return (Finding(kind, joint, side, first.size, first.fault.unit, share, what, since),)
 
 
 def _acts(seen: Residuals, best: FittedFault) -> bool:
