@@ -91,6 +91,41 @@ def test_wrong_parameter_is_isolated_with_its_size(
     assert finding.sentence in found.sentence
 
 
+@pytest.mark.parametrize(
+    ("robot", "kind", "side", "sizes"),
+    [
+        ({"stiffness": (34.0, 20.0)}, "stiffness", "joint", (-15.0, -20.0)),
+        ({"motor_inertia": (0.026, 0.015)}, "inertia", "motor", (0.006, 0.005)),
+        ({"input_gain": (0.9, 0.85)}, "torque constant", "motor", (-10.0, -15.0)),
+        ({"motor_damping": (0.04, 0.03)}, "viscous friction", "motor", (0.02, 0.02)),
+    ],
+)
+def test_a_parameter_that_is_wrong_at_all_joints_is_one_fault(
+    robot: dict[str, tuple[float, float]], kind: str, side: str, sizes: tuple[float, float]
+) -> None:
+    (finding,) = verdict(fjr.planar_two_link(**robot)).findings
+    assert (finding.kind, finding.joint, finding.side) == (kind, "", side), finding.sentence
+    assert finding.size == pytest.approx(max(sizes, key=abs), rel=0.05)
+    said = finding.sentence.partition("(")[2].partition(")")[0]
+    assert np.array(said.split(", "), dtype=float) == pytest.approx(np.array(sizes), rel=0.05)
+
+
+@pytest.mark.parametrize(("coulomb", "viscous"), [((0.08, 0.05), 0.0), ((0.08, 0.05), 0.02), ((0.08, 0.0), 0.02)])
+def test_friction_of_all_motors_is_one_fault(coulomb: tuple[float, float], viscous: float) -> None:
+    """Friction of another curve than that of the hypothesis, Coulomb and viscous."""
+    last = np.zeros(2)
+
+    def sensed(q: Array, dq: Array) -> tuple[Array, Array]:
+        last[:] = dq[2:]
+        return q, dq
+
+    found = verdict(sensed=sensed, acting=lambda u: u - coulomb * np.clip(last / 0.02, -1, 1) - viscous * last)
+    (finding,) = found.findings
+    assert (finding.kind, finding.joint) == ("friction" if viscous else "Coulomb friction", ""), finding.sentence
+    assert finding.sentence.startswith("all motors: ")
+    assert finding.size == pytest.approx(0.08, rel=0.1)
+
+
 @pytest.mark.parametrize("alone", [True, False], ids=["diagonal alone", "row and column"])
 def test_a_softer_joint_of_a_coupled_stiffness_has_its_size(alone: bool) -> None:
     stiff = np.array([[40.0, 12.0], [12.0, 25.0]])

@@ -6,11 +6,12 @@ example, leaves opposite torques proportional to the deflection in the two equat
 fixed to a link: its joint torques are linear in its ten inertial parameters. A base that stands at an angle changes
 gravity in its frame, in which the weight is linear. A fault of an encoder adds an error to the measured position, and
 its rate to the measured velocity: that of a gain is the position, that of an eccentric disc the sine of the angle, once
-a turn, that of a drift the time.
+a turn, that of a drift the time. Friction, or a guess of the model, may be wrong at all joints at once.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -37,46 +38,58 @@ CLIPPED = 5  # smallest number of blocks in which an effort exceeds its limit
 LONGEST_ARM = 1.5  # m; largest considered distance of a payload from its joint
 STEPS = 60  # of the fit of a payload
 OF_GRAVITY = 0.05  # largest change of the size of gravity that is attributed to its direction
+SIDES = LINK, MOTOR, JOINT
+COULOMB, VISCOUS = "Coulomb friction", "viscous friction"
+SHARED = ((COULOMB,), (VISCOUS,), (COULOMB, VISCOUS), ("stiffness",), ("torque constant",), ("inertia",))
+"""Kinds that all joints, or one, may have together."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Possible fault: kind, joint (index; 0 of the base), side, unit of its size, and the residual (b, 2n) it causes.
+    """Possible fault: kind, joint (index; None: all), side, unit of its size, and the residual (b, 2n) that it causes.
 
     columns (b, 2n, p): residual per unknown. size: returns the size from the p fitted unknowns, None if the fault is
-    impossible. nonlinear: fits dependent unknowns from (A, c) = (X'X, X'y); None: least squares. remedy: what the model
-    should say, from the p unknowns.
+    impossible. nonlinear: fits dependent unknowns from (A, c) = (X'X, X'y); None: least squares. least: what the first
+    unknown must exceed. detail: all sizes, or what the model should say, from the p unknowns.
     """
 
     kind: str
-    joint: int
+    joint: int | None
     side: str
     unit: str
     columns: Array
     size: Callable[[Array], float | None] = lambda fitted: float(fitted[0])
     nonlinear: Callable[[Array, Array], Array] | None = None
-    remedy: Callable[[Array], str] = lambda fitted: ""
+    least: float = -np.inf
+    detail: Callable[[Array], str] = lambda fitted: ""
 
     @property
     def unknowns(self) -> int:
         """How many numbers are fitted: four of a point mass, which a cable resembles where a joint moves little."""
-        return 4 if self.kind == CABLE else min(self.columns.shape[2], 4)
+        return 4 if self.kind == CABLE or self.columns.shape[2] == PARAMETERS else self.columns.shape[2]
 
     def place(self, names: Sequence[str]) -> str:
         """Return where the fault is, with the names of the joints."""
-        if self.side in (JOINT, BASE):
-            return names[self.joint] if self.side == JOINT else BASE
-        return f"{self.side} of {names[self.joint]}"
+        if self.joint is None:
+            return BASE if self.side == BASE else f"all {self.side}s"
+        return names[self.joint] if self.side == JOINT else f"{self.side} of {names[self.joint]}"
 
 
 def hypotheses(seen: Residuals) -> Iterator[Hypothesis]:
     """Return all possible faults of all joints."""
-    n = seen.robot.n
+    n, of_joints = seen.robot.n, list[Hypothesis]()
     for j, units in enumerate(seen.robot.units):
         of_sides = *_of_side(seen, j, LINK, j), *_of_side(seen, j, MOTOR, n + j)
         for each in (*of_sides, *_of_spring(seen, j), *_of_motor(seen, j, n + j)):
-            yield replace(each, unit=units.of(each.unit))
+            of_joints.append(replace(each, unit=units.of(each.unit)))
         yield from _of_body(seen, j, units.of("kg m^2"))
+    yield from of_joints
+    one = {(each.side, each.kind, each.joint): each for each in reversed(of_joints)}
+    everywhere = [(None, range(n))] if n > 1 else []
+    for side, kinds, (at, joints) in itertools.product(SIDES, SHARED, (*everywhere, *((j, [j]) for j in range(n)))):
+        parts = [one[side, kind, j] for kind in kinds for j in joints if (side, kind, j) in one]
+        if len(parts) > 1:
+            yield _together(parts, at)
     yield from _of_base(seen)
 
 
@@ -85,13 +98,10 @@ def _of_side(seen: Residuals, j: int, side: str, channel: int) -> Iterator[Hypot
     dq, damping = seen.dq[:, channel], (seen.robot.D_l if side == LINK else seen.robot.D_m)[j, j]
     slides = seen.robot.units[j].position == "m"
 
-    def at_least(least: float) -> Callable[[Array], float | None]:
-        return lambda fitted: float(fitted[0]) if fitted[0] > least else None  # else friction would add energy
-
     yield Hypothesis("constant torque", j, side, "N m", seen.placed({channel: np.ones_like(dq)}))
     coulomb = seen.placed({channel: -np.tanh(dq / SMOOTHING[slides])})
-    yield Hypothesis("Coulomb friction", j, side, "N m", coulomb, at_least(0.0))
-    yield Hypothesis("viscous friction", j, side, "N m s/rad", seen.placed({channel: -dq}), at_least(-damping))
+    yield Hypothesis(COULOMB, j, side, "N m", coulomb, least=0.0)  # else friction would add energy
+    yield Hypothesis(VISCOUS, j, side, "N m s/rad", seen.placed({channel: -dq}), least=-damping)
     if side == LINK:
         pull = [seen.placed({channel: signal}) for signal in (-seen.q[:, channel], np.ones_like(dq))]
         yield Hypothesis(CABLE, j, side, "N m/rad", np.concatenate(pull, axis=2))
@@ -168,6 +178,33 @@ def _of_body(seen: Residuals, j: int, unit: str) -> Iterator[Hypothesis]:
     yield Hypothesis("inertia", j, LINK, unit, parts, lambda fitted: float(fitted.sum()))
 
 
+def _together(parts: Sequence[Hypothesis], joint: int | None) -> Hypothesis:
+    """Return faults of one unknown each as one, of a joint or of all; its size is the largest of its first kind."""
+    least = np.array([each.least for each in parts])
+    first = [i for i, each in enumerate(parts) if each.kind == parts[0].kind]
+
+    def sizes(fitted: Array) -> list[float]:
+        return [parts[i].size(fitted[i : i + 1]) or 0.0 for i in first]
+
+    def bounded(A: Array, c: Array) -> Array:
+        from scipy.optimize import lsq_linear  # 0.3 s of imports, as below
+
+        return np.asarray(lsq_linear(*_square_root(A, c), (least, np.inf), method="bvls").x)
+
+    kind = parts[0].kind if len(first) == len(parts) else "friction"
+    columns = np.concatenate([each.columns for each in parts], axis=2)
+    return Hypothesis(
+        kind,
+        joint,
+        parts[0].side,
+        parts[0].unit,
+        columns,
+        lambda fitted: max(sizes(fitted), key=abs),
+        bounded if np.isfinite(least).any() else None,
+        detail=lambda fitted: f" ({', '.join(f'{size:.3g}' for size in sizes(fitted))})" if joint is None else "",
+    )
+
+
 def _of_base(seen: Residuals) -> Iterator[Hypothesis]:
     """Return the angle between gravity in the frame of the base and that of the model, for links with bodies."""
     n, links = seen.robot.n, seen.robot.links
@@ -188,21 +225,17 @@ def _of_base(seen: Residuals) -> Iterator[Hypothesis]:
             return None
         return float(np.arccos(np.clip(modelled @ (modelled + fitted) / (size * turned), -1, 1)))
 
-    def remedy(fitted: Array) -> str:
+    def detail(fitted: Array) -> str:
         return f" (robot.gravity {np.round(modelled + fitted, 3).tolist()})"
 
-    yield Hypothesis("direction of gravity", 0, BASE, "rad", columns, angle, remedy=remedy)
+    yield Hypothesis("direction of gravity", None, BASE, "rad", columns, angle, detail=detail)
 
 
 def _point_mass(A: Array, c: Array) -> Array:
     """Fit a point mass of either sign, at most LONGEST_ARM away; return its ten inertial parameters."""
     from scipy.optimize import least_squares  # 0.3 s of imports, which the running nodes do not need
 
-    scale = np.sqrt(np.diag(A).max()) or 1.0
-    values, vectors = np.linalg.eigh(A / scale**2)
-    kept = values > 1e-12 * values.max()
-    root = (vectors[:, kept] * np.sqrt(values[kept])).T
-    target = (vectors[:, kept].T @ (c / scale)) / np.sqrt(values[kept]) / scale
+    root, target = _square_root(A, c)
     begins = ([m, *r] for m in (0.1, -0.1) for r in ((0.1, 0.0, 0.0), (0.0, 0.1, 0.1)))
     bounds = [-np.inf, *[-LONGEST_ARM] * 3], [np.inf, *[LONGEST_ARM] * 3]
     options: dict[str, Any] = {"bounds": bounds, "x_scale": "jac", "max_nfev": STEPS}
@@ -212,6 +245,15 @@ def _point_mass(A: Array, c: Array) -> Array:
 
     tried = [least_squares(misses, begin, lambda x: root @ _of_point_mass(x)[1], **options) for begin in begins]
     return _of_point_mass(min(tried, key=lambda each: float(each.cost)).x)[0]
+
+
+def _square_root(A: Array, c: Array) -> tuple[Array, Array]:
+    """Return (X, y) of few rows with X'X = A and X'y = c, up to one factor of both."""
+    scale = np.sqrt(np.diag(A).max()) or 1.0
+    values, vectors = np.linalg.eigh(A / scale**2)
+    kept = values > 1e-12 * values.max()
+    root = (vectors[:, kept] * np.sqrt(values[kept])).T
+    return root, (vectors[:, kept].T @ (c / scale)) / np.sqrt(values[kept]) / scale
 
 
 def _of_point_mass(x: Array) -> tuple[Array, Array]:

@@ -27,6 +27,8 @@ PRESENT, SIGNIFICANT = 2.0, 4.0
 """Smallest RMS of the residual torque of a fault, and smallest torque of a contact, in standard deviations of noise."""
 ADVANTAGE = 0.7
 """Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
+ONE_JOINT = 0.98
+"""Share that a fault of one joint must explain for it to be no fault of all joints."""
 LIKELIER = 15.0
 """Smallest difference of twice the logarithm of the likelihoods of two kinds that noise does not explain."""
 MOST_KINDS = 3  # most kinds of fault that are named together
@@ -51,13 +53,13 @@ REACTION = 0.2
 
 
 class FittedFault(NamedTuple):
-    """A fitted fault: weighted sum of squares that it leaves, size, since which block (0: all the time), remedy."""
+    """A fitted fault: weighted sum of squares that it leaves, size, since which block (0: all the time), detail."""
 
     left: float
     size: float
     fault: Hypothesis
     onset: int = 0
-    remedy: str = ""
+    detail: str = ""
 
     @property
     def kind(self) -> str:
@@ -66,7 +68,7 @@ class FittedFault(NamedTuple):
 
     def place(self, names: Sequence[str]) -> str:
         """Return kind and place of the fault, with the names of the joints."""
-        return f"{self.fault.place(names)}: {self.kind} of {self.size:.3g} {self.fault.unit}{self.remedy}"
+        return f"{self.fault.place(names)}: {self.kind} of {self.size:.3g} {self.fault.unit}{self.detail}"
 
 
 def fits(seen: Residuals) -> list[FittedFault]:
@@ -85,8 +87,8 @@ def fits(seen: Residuals) -> list[FittedFault]:
         if fault.nonlinear is None and (fault.kind, fault.side) != ("constant torque", LINK):  # that is a contact
             theta, left, onset = _since(A, c, float((y**2).sum()), y.size) or (theta, left, 0)
         size = fault.size(theta)
-        if size is not None:
-            found.append(FittedFault(left, size, fault, onset, fault.remedy(theta)))
+        if size is not None and (fault.nonlinear is not None or theta[0] > fault.least):
+            found.append(FittedFault(left, size, fault, onset, fault.detail(theta)))
     return sorted(found, key=lambda fit: fit.left)
 
 
@@ -125,13 +127,19 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
         return ()
     total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
     fitted = fits(seen)
+    alone = [each for each in fitted if each.fault.joint is not None or each.fault.side == BASE]
+    if explained_share(alone[0].left - noise, total - noise) > ONE_JOINT:
+        fitted = alone
     best = fitted[0]
     share = explained_share(best.left - noise, total - noise)
     equal = [each for each in fitted if not _clearly(best.left, each.left, seen.r.size)]
     simplest = min(each.fault.unknowns for each in equal)
     kinds = {(each.kind, each.fault.joint): each for each in reversed(equal) if each.fault.unknowns == simplest}
     several = list(kinds.values())[::-1]
-    joints = {names[each.fault.joint] for each in several if each.fault.side != BASE}
+    joints = {names[each.fault.joint] for each in several if each.fault.joint is not None}
+    anywhere = at_one_place(seen, names) if several[0].fault.joint is None else None
+    if anywhere is not None and 1 - anywhere.share < ADVANTAGE * (1 - share):
+        return (anywhere,)
     if share < EXPLAINED or len(joints) > 1 or (best.kind in OF_COMMAND and not _acts(seen, best)):
         return (external_torque(seen, names) or at_one_place(seen, names) or unexplained(best, share, names),)
     joint = "".join(joints)
@@ -149,6 +157,8 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
 
 def _acts(seen: Residuals, best: FittedFault) -> bool:
     """Return whether a fault of the command explains the effort that acted, too, not only that most is missing."""
+    if best.fault.joint is None:
+        return True
     y, B = seen.r / seen.sigma, np.append(np.zeros(seen.robot.n), seen.robot.B_m[:, best.fault.joint])
     acted = (y + seen.means(seen.u[:, best.fault.joint])[:, None] * B / seen.sigma)[:, B != 0]
     left = best.left - float((y[:, B == 0] ** 2).sum())
