@@ -83,7 +83,7 @@ LAYERS = {
 BUDGETS = {
     "fjr_core": 13_320,
     "fjr_msgs_py": 3_650,
-    "fjr_monitor": 7_625,
+    "fjr_monitor": 7_690,
     "fjr_plant": 1_380,
     "fjr_controller": 1_770,
     "fjr_design": 9_210,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -110,20 +110,44 @@ def test_a_parameter_that_is_wrong_at_all_joints_is_one_fault(
     assert np.array(said.split(", "), dtype=float) == pytest.approx(np.array(sizes), rel=0.05)
 
 
-@pytest.mark.parametrize(("coulomb", "viscous"), [((0.08, 0.05), 0.0), ((0.08, 0.05), 0.02), ((0.08, 0.0), 0.02)])
-def test_friction_of_all_motors_is_one_fault(coulomb: tuple[float, float], viscous: float) -> None:
-    """Friction of another curve than that of the hypothesis, Coulomb and viscous."""
+def rubbing(coulomb: Sequence[float], viscous: float = 0.0, robot: fjr.Robot = MODEL) -> tuple[Finding, ...]:
+    """Return what is found where the motors rub, by another curve than that of the hypothesis."""
     last = np.zeros(2)
 
     def sensed(q: Array, dq: Array) -> tuple[Array, Array]:
         last[:] = dq[2:]
         return q, dq
 
-    found = verdict(sensed=sensed, acting=lambda u: u - coulomb * np.clip(last / 0.02, -1, 1) - viscous * last)
-    (finding,) = found.findings
+    def acting(u: Array) -> Array:
+        return u - coulomb * np.clip(last / 0.02, -1, 1) - viscous * last
+
+    return verdict(robot, sensed=sensed, acting=acting).findings
+
+
+@pytest.mark.parametrize(("coulomb", "viscous"), [((0.08, 0.05), 0.0), ((0.08, 0.05), 0.02), ((0.08, 0.0), 0.02)])
+def test_friction_of_all_motors_is_one_fault(coulomb: tuple[float, float], viscous: float) -> None:
+    (finding,) = rubbing(coulomb, viscous)
     assert (finding.kind, finding.joint) == ("friction" if viscous else "Coulomb friction", ""), finding.sentence
     assert finding.sentence.startswith("all motors: ")
     assert finding.size == pytest.approx(0.08, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("robot", "kind", "joint", "size"),
+    [
+        ({"link_mass": (1.2, 0.84)}, "gravity load", "elbow", 0.13),  # 0.04 kg, 0.34 m from the shoulder
+        ({"stiffness": (38.0, 25.0)}, "stiffness", "shoulder", -5.0),
+        ({"input_gain": (0.96, 1.0)}, "torque constant", "shoulder", -4.0),
+    ],
+)
+def test_another_fault_is_named_beside_friction_of_all_motors(
+    robot: dict[str, tuple[float, float]], kind: str, joint: str, size: float
+) -> None:
+    friction, other = rubbing((0.08, 0.05), robot=fjr.planar_two_link(**robot))
+    assert (friction.joint, friction.side) == ("", "motor")
+    assert friction.size == pytest.approx(0.08, rel=0.1)
+    assert (other.kind, other.joint) == (kind, joint), other.sentence
+    assert other.size == pytest.approx(size, rel=0.15)
 
 
 @pytest.mark.parametrize("alone", [True, False], ids=["diagonal alone", "row and column"])
@@ -434,4 +458,6 @@ def test_body_torques_of_a_point_mass_equal_those_of_a_payload() -> None:
 @pytest.mark.parametrize(("share", "named"), [(0.05, False), (0.3, True)])
 def test_nearest_kind_is_named_only_if_it_explains_a_tenth(share: float, named: bool) -> None:
     nearest = Hypothesis("inertia", 0, "motor", "kg m^2", np.zeros((1, 2, 1)))
-    assert ("inertia (motor of a)" in unexplained(FittedFault(1.0, 1.0, nearest), share, ["a"]).sentence) is named
+    assert (
+        "inertia (motor of a)" in unexplained(FittedFault(1.0, np.ones(1), nearest), share, ["a"]).sentence
+    ) is named

@@ -39,7 +39,7 @@ LONGEST_ARM = 1.5  # m; largest considered distance of a payload from its joint
 STEPS = 60  # of the fit of a payload
 OF_GRAVITY = 0.05  # largest change of the size of gravity that is attributed to its direction
 SIDES = LINK, MOTOR, JOINT
-COULOMB, VISCOUS = "Coulomb friction", "viscous friction"
+FRICTIONS = COULOMB, VISCOUS, FRICTION = "Coulomb friction", "viscous friction", "friction"
 SHARED = ((COULOMB,), (VISCOUS,), (COULOMB, VISCOUS), ("stiffness",), ("torque constant",), ("inertia",))
 """Kinds that all joints, or one, may have together."""
 
@@ -191,7 +191,7 @@ def _together(parts: Sequence[Hypothesis], joint: int | None) -> Hypothesis:
 
         return np.asarray(lsq_linear(*_square_root(A, c), (least, np.inf), method="bvls").x)
 
-    kind = parts[0].kind if len(first) == len(parts) else "friction"
+    kind = parts[0].kind if len(first) == len(parts) else FRICTION
     columns = np.concatenate([each.columns for each in parts], axis=2)
     return Hypothesis(
         kind,

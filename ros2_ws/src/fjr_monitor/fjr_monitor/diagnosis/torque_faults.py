@@ -7,7 +7,8 @@ than noise, or than what none of them explains, are named together.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 from fjr_msgs_py.console.output import number, percent
 
-from .hypotheses import BASE, JOINT, LINK, MOTOR, Hypothesis, hypotheses
+from .hypotheses import BASE, FRICTIONS, JOINT, LINK, MOTOR, Hypothesis, hypotheses
 from .residuals import Residuals, explained_share
 from .verdict import EXTERNAL
 
@@ -29,6 +30,8 @@ ADVANTAGE = 0.7
 """Report a fault only if it leaves less than this fraction of what the next best kind or joint leaves."""
 ONE_JOINT = 0.98
 """Share that a fault of one joint must explain for it to be no fault of all joints."""
+PART = 0.1
+"""Smallest part of a residual that friction and another fault explain each, to be named both."""
 LIKELIER = 15.0
 """Smallest difference of twice the logarithm of the likelihoods of two kinds that noise does not explain."""
 MOST_KINDS = 3  # most kinds of fault that are named together
@@ -53,13 +56,17 @@ REACTION = 0.2
 
 
 class FittedFault(NamedTuple):
-    """A fitted fault: weighted sum of squares that it leaves, size, since which block (0: all the time), detail."""
+    """A fitted fault: weighted sum of squares that it leaves, unknowns (p,), since which block, 0: all the time."""
 
     left: float
-    size: float
+    fitted: Array
     fault: Hypothesis
     onset: int = 0
-    detail: str = ""
+
+    @property
+    def size(self) -> float:
+        """The size of the fault."""
+        return float(self.fault.size(self.fitted) or 0.0)
 
     @property
     def kind(self) -> str:
@@ -68,28 +75,52 @@ class FittedFault(NamedTuple):
 
     def place(self, names: Sequence[str]) -> str:
         """Return kind and place of the fault, with the names of the joints."""
-        return f"{self.fault.place(names)}: {self.kind} of {self.size:.3g} {self.fault.unit}{self.detail}"
+        size = f"{self.size:.3g} {self.fault.unit}{self.fault.detail(self.fitted)}"
+        return f"{self.fault.place(names)}: {self.kind} of {size}"
 
 
-def fits(seen: Residuals) -> list[FittedFault]:
-    """Return all hypotheses as they fit, best first."""
-    y, found = seen.r / seen.sigma, []
-    for fault in hypotheses(seen):
-        X = fault.columns / seen.sigma[:, None]
+class Regression:
+    """Fits of hypotheses to the residual torques by least squares, weighted by their noise.
+
+    beside: fault that acts, too, by unknown sizes: what its columns may explain is left out.
+    """
+
+    def __init__(self, seen: Residuals, beside: Hypothesis | None = None) -> None:
+        self._sigma, self._lasting = seen.sigma, beside is not None
+        columns = np.zeros((*seen.r.shape, 0)) if beside is None else beside.columns
+        self._basis = np.linalg.qr(self._weighted(columns).reshape(seen.r.size, -1))[0]
+        self._y = self._normal(seen.r[..., None])[..., 0]
+
+    def fits(self, faults: Iterable[Hypothesis]) -> list[FittedFault]:
+        """Return all hypotheses as they fit, best first."""
+        found = map(self.fit, faults)
+        return sorted((each for each in found if each is not None), key=lambda fit: fit.left)
+
+    def fit(self, fault: Hypothesis) -> FittedFault | None:
+        """Return a hypothesis as it fits, with its most likely begin; None if it is impossible."""
+        X, y = self._normal(fault.columns), self._y
         if not np.isfinite(X).all() or not X.any():
-            continue
+            return None
         A, c = np.einsum("bip,biq->bpq", X, X), np.einsum("bip,bi->bp", X, y)
         if fault.nonlinear is None:
             theta = np.linalg.pinv(A.sum(axis=0), rcond=1e-12, hermitian=True) @ c.sum(axis=0)
         else:
             theta = fault.nonlinear(A.sum(axis=0), c.sum(axis=0))
         left, onset = float(((y - X @ theta) ** 2).sum()), 0
-        if fault.nonlinear is None and (fault.kind, fault.side) != ("constant torque", LINK):  # that is a contact
+        contact = (fault.kind, fault.side) == ("constant torque", LINK)  # if it does not last
+        if fault.nonlinear is None and not contact and not self._lasting:
             theta, left, onset = _since(A, c, float((y**2).sum()), y.size) or (theta, left, 0)
-        size = fault.size(theta)
-        if size is not None and (fault.nonlinear is not None or theta[0] > fault.least):
-            found.append(FittedFault(left, size, fault, onset, fault.detail(theta)))
-    return sorted(found, key=lambda fit: fit.left)
+        if fault.size(theta) is None or (fault.nonlinear is None and theta[0] <= fault.least):
+            return None
+        return FittedFault(left, theta, fault, onset)
+
+    def _weighted(self, values: Array) -> Array:
+        return np.asarray(values / self._sigma[..., None])
+
+    def _normal(self, values: Array) -> Array:
+        """Return the part of weighted values (b, 2n, p) that is normal to the columns of the other fault."""
+        rows = self._weighted(values).reshape(len(self._basis), -1)
+        return np.asarray((rows - self._basis @ (self._basis.T @ rows)).reshape(values.shape))
 
 
 def _since(A: Array, c: Array, total: float, cells: int) -> tuple[Array, float, int] | None:
@@ -116,17 +147,49 @@ def _clearly(left: float, other: float, cells: int) -> bool:
 
 
 def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
-    """Return the single fault that explains the residual torques, or "unknown" if none does; nothing if they are small.
+    """Return the fault that explains the residual torques, or "unknown" if none does; nothing if they are small.
+
+    Real joints rub: where friction of all joints explains a part only, another fault may explain the rest.
+    """
+    if not _present(seen):
+        return ()
+    faults = list(hypotheses(seen))
+    fitted = Regression(seen).fits(faults)
+    found, _ = _named(seen, fitted, names)
+    rubs = [each for each in fitted if each.kind in FRICTIONS and (each.fault.joint is None or seen.robot.n == 1)]
+    rubbing = rubs[0] if rubs else None
+    if rubbing is None or found.kind not in (UNKNOWN, rubbing.kind) or (found.kind == UNKNOWN and found.joint):
+        return (found,)
+    rest = replace(seen, r=seen.r - rubbing.fault.columns @ rubbing.fitted)
+    left = rubbing.left / float(((seen.r / seen.sigma) ** 2).sum())
+    if not PART < left < 1 - PART or not _present(rest):
+        return (found,)
+    other, best = _named(rest, Regression(rest, rubbing.fault).fits(faults), names, "what friction leaves")
+    if other.kind == UNKNOWN:
+        return (found,)
+    friction = Regression(seen, best.fault).fit(rubbing.fault) or rubbing
+    what = f"{friction.place(names)} explains {percent(1 - left, 0)} of the residual torque"
+    fault = friction.fault
+    return Finding(friction.kind, found.joint, fault.side, friction.size, fault.unit, 1 - left, what), other
+
+
+def _present(seen: Residuals) -> bool:
+    """Return whether the residual torque of an equation is more than noise."""
+    power = ((seen.r / seen.sigma) ** 2).mean(axis=0)
+    return bool(np.isfinite(power).all() and power.max() >= PRESENT**2)
+
+
+def _named(
+    seen: Residuals, fitted: Sequence[FittedFault], names: Sequence[str], of: str = "the residual torque"
+) -> tuple[Finding, FittedFault]:
+    """Return the single fault that explains the residual torques, or UNKNOWN, and the best fit.
 
     Kinds of one joint that fit equally well with as few unknowns are named together; of more than MOST_KINDS only the
     joint is named. If no fault explains enough, torques on links alone, not all the time, are external; else the place
     of the torques is named if there is one.
     """
-    power = ((seen.r / seen.sigma) ** 2).mean(axis=0)
-    if not np.isfinite(power).all() or power.max() < PRESENT**2:
-        return ()
-    total, noise = float(power.sum() * len(seen.r)), float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
-    fitted = fits(seen)
+    total = float(((seen.r / seen.sigma) ** 2).sum())
+    noise = float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
     alone = [each for each in fitted if each.fault.joint is not None or each.fault.side == BASE]
     if explained_share(alone[0].left - noise, total - noise) > ONE_JOINT:
         fitted = alone
@@ -139,20 +202,21 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     joints = {names[each.fault.joint] for each in several if each.fault.joint is not None}
     anywhere = at_one_place(seen, names) if several[0].fault.joint is None else None
     if anywhere is not None and 1 - anywhere.share < ADVANTAGE * (1 - share):
-        return (anywhere,)
+        return anywhere, best
     if share < EXPLAINED or len(joints) > 1 or (best.kind in OF_COMMAND and not _acts(seen, best)):
-        return (external_torque(seen, names) or at_one_place(seen, names) or unexplained(best, share, names),)
+        said = external_torque(seen, names) or at_one_place(seen, names) or unexplained(best, share, names)
+        return said, best
     joint = "".join(joints)
     if len(several) > MOST_KINDS:
         what = f"{joint}: no one kind of fault explains the residual torque better than others"
-        return (Finding(UNKNOWN, joint, share=share, sentence=what),)
+        return Finding(UNKNOWN, joint, share=share, sentence=what), best
     first = several[0]
-    what = " or ".join(each.place(names) for each in several) + f" explains {percent(share, 0)} of the residual torque"
+    what = " or ".join(each.place(names) for each in several) + f" explains {percent(share, 0)} of {of}"
     since = float(seen.found.t[first.onset * seen.block]) if first.onset else 0.0
     what += f" from {number(since, 's')} on" if since else ""
     kind = " or ".join(each.kind for each in several)
     side = first.fault.side if len({each.fault.side for each in several}) == 1 else ""
-    return (Finding(kind, joint, side, first.size, first.fault.unit, share, what, since),)
+    return Finding(kind, joint, side, first.size, first.fault.unit, share, what, since), first
 
 
 def _acts(seen: Residuals, best: FittedFault) -> bool:
