@@ -392,16 +392,20 @@ def test_play_refuses_a_reference_or_a_transition_that_violates_the_limits(ros: 
     np.testing.assert_allclose(reference_at(manager, 4.0)[0], 1.0 + 0.1 * np.sin(4.0), atol=1e-9)
 
 
-def test_resume_is_refused_outside_the_limits_and_each_stop_is_logged(ros: Ros, manager: Manager, capfd) -> None:
+def test_resume_is_refused_outside_the_limits_and_each_stop_and_what_follows_is_logged(
+    ros: Ros, manager: Manager, capfd
+) -> None:
     manager.started(0.0, limits__link_velocity=[2.0])
     assert list(manager.ask(stamped(0.001, 0.0, 3.0)).effort) == [0.0]
     done, sentence = manager.trigger("resume")
     assert (done, sentence.partition(":")[0]) == (False, "the controller stays stopped")
-    assert list(manager.ask(stamped(0.002, 0.0)).effort) == [0.0]
-    ros.until_said(capfd, "stopped: link velocity")
-    assert manager.trigger("resume")[0]
-    manager.ask(stamped(0.003, 0.0))
-    assert list(manager.ask(stamped(0.004, 0.0, 3.0)).effort) == [0.0]
+    for t in (0.002, 0.005):
+        assert list(manager.ask(stamped(t, 0.0)).effort) == [0.0]
+        ros.until_said(capfd, "stopped: link velocity")
+        assert manager.trigger("resume")[0]
+        manager.ask(stamped(t + 0.001, 0.0))
+        ros.until_said(capfd, "recovery: transition to the reference")
+        assert list(manager.ask(stamped(t + 0.002, 0.0, 3.0)).effort) == [0.0]
     ros.until_said(capfd, "stopped: link velocity")
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report counters on /diagnostics and events on ~/events.
 
-Each stop and refused trajectory is logged, every other kind of event and of refused message once.
+Each stop and refused trajectory is logged, every other kind of event and of refused message once until the next stop.
 """
 
 from __future__ import annotations
@@ -49,7 +49,9 @@ class Reports(Health):
 
     def event(self, event: Event) -> None:
         """Publish an event, and count and log it by its level and kind."""
-        if event.kind.startswith((STARTS_REFUSED, STOPS, TRAJECTORY_REFUSED)):
+        if event.kind.startswith(STOPS):
+            self._logged.clear()  # what follows a stop, such as ~/resume, is news again
+        if event.kind.startswith((STARTS_REFUSED, TRAJECTORY_REFUSED)):
             self._logged.discard(event.kind)
         self.note(event.level, event.kind, event.sentence)
         values = dict(event.values) if event.stamp is None else {**event.values, STAMP: event.stamp}
