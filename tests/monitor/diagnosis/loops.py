@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,45 @@ def recorded(
             break
     t, position, velocity, jets, u = map(np.array, zip(*rows, strict=True))
     return Record(t, position, velocity, jets, u, None, None, None, PERIOD, np.full(real.n, limit))
+
+
+INNER = PERIOD / 4
+"""Time [s] between the instants from which an effort may act, as in the simulated robot."""
+KNOWN = 0.07e-3  # s, from a state to its command by the send times
+
+
+def in_real_time(
+    law: fjr.TrackingLaw,
+    reference: Reference,
+    x: Array,
+    samples: int,
+    robot: fjr.Robot | None = None,
+    lost: Collection[int] = (),
+    begins: Callable[[int], int] = lambda k: 2,
+) -> Iterator[tuple[int, Array, Array, Array, Array]]:
+    """Yield number, positions, velocities, jets and effort of each state of a loop on a late computer, from x on.
+
+    robot: the plant; None: the model of the law. lost: samples without a state, through which the older effort acts.
+    begins: after how many INNER steps the effort of a state acts, or from the last lost sample after it on.
+    """
+    plant, older = fjr.Plant(robot or law.robot), None
+    for k in (k for k in range(samples) if k not in lost):
+        q, dq, jets = x[: len(x) // 2], np.concatenate(plant.robot.velocities(x)), reference.jets(k * PERIOD)
+        u = law.measured_command(q, dq, jets)[0]
+        yield k, q, dq, jets, u
+        last = next(j for j in range(k, samples + 1) if j + 1 not in lost)
+        older = u if older is None else older
+        for step in range(4 * (last + 1 - k)):
+            x = plant.step(x, older if step < 4 * (last - k) + begins(k) else u, INNER)
+        older = u
+
+
+def record_in_real_time(law: fjr.TrackingLaw, *given: Any, **more: Any) -> Record:
+    """Return the record of `in_real_time`, with the latency KNOWN."""
+    k, *rows = zip(*in_real_time(law, *given, **more), strict=True)
+    position, velocity, jets, u = map(np.array, rows)
+    t, endless = PERIOD * np.array(k), np.full(law.robot.n, np.inf)
+    return Record(t, position, velocity, jets, u, None, t, t + KNOWN, PERIOD, endless)
 
 
 class Certified(LatestIntervals):

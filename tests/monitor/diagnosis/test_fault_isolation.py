@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -25,7 +25,7 @@ from fjr_monitor.diagnosis.residuals import Residuals, residuals
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.torque_faults import UNKNOWN, FittedFault, torque_fault, unexplained
 from fjr_monitor.diagnosis.verdict import EXTERNAL, Diagnosis
-from monitor.diagnosis.loops import PERIOD, Sensed, recorded
+from monitor.diagnosis.loops import PERIOD, Sensed, record_in_real_time, recorded
 from system.test_other_joints import URDF
 
 DURATION = 1.5
@@ -161,6 +161,39 @@ def test_a_softer_joint_of_a_coupled_stiffness_has_its_size(alone: bool) -> None
     (finding,) = diagnose(seen, law, axes=AXES).findings
     assert (finding.kind, finding.joint) == ("stiffness", "elbow")
     assert finding.size == pytest.approx(-12.0, rel=0.05)
+
+
+SOFT = fjr.TrackingLaw(fjr.single_link(stiffness=3.1), fjr.PAPER_GAINS, compile=True)
+BURSTS = {*range(4, 7), 8, 9, *range(11, 15), 30, 31, *range(1000, 1030, 3), *range(2000, 2010)}
+
+
+def late_computer(lost: Collection[int], seed: int | None, **robot: float) -> Diagnosis:
+    """Diagnose the soft joint in real time; seed: of the instants at which efforts begin, None: always the same."""
+    draw, start = np.random.default_rng(seed), SOFT.robot.state(0.5, 0.5, 0.0, 0.0)
+    begins = (lambda k: 2) if seed is None else lambda k: int(draw.choice([1, 2] if k > 40 else [2, 3]))
+    real = fjr.single_link(stiffness=3.1, **robot)
+    seen = record_in_real_time(SOFT, fjr.Sine(1.0, 1.0), start, 3000, real, lost=lost, begins=begins)
+    return diagnose(seen, SOFT)
+
+
+LATE = [(set(), 1), ({5}, None), ({*range(3, 12)}, 2), (BURSTS, 3), (BURSTS, None), ({*range(2, 3000, 7)}, 4)]
+
+
+@pytest.mark.parametrize(("lost", "seed"), LATE, ids=["none", "one", "at the start", "bursts", "regular", "many"])
+def test_a_late_computer_is_no_fault_of_the_robot(lost: Collection[int], seed: int | None) -> None:
+    """The effort falls by 36 N m in a sample at the start; no send time reveals when the robot takes it over."""
+    verdict = late_computer(lost, seed)
+    assert verdict.findings == (), verdict.sentence
+    assert "model mismatch" not in verdict.causes
+
+
+@pytest.mark.parametrize(("lost", "seed"), [(set(), None), (set(), 1), (BURSTS, 3)])
+@pytest.mark.parametrize("friction", [-2.6e-3, 10e-3])
+def test_a_fault_is_named_beside_a_late_computer(lost: Collection[int], seed: int | None, friction: float) -> None:
+    """The transient does not reveal the smaller friction: a shift of the efforts by 17 us leaves the same residual."""
+    (finding,) = late_computer(lost, seed, motor_damping=7e-3 + friction).findings
+    assert (finding.kind, finding.side) == ("viscous friction", "motor")
+    assert finding.size == pytest.approx(friction, rel=0.05)
 
 
 @pytest.mark.parametrize(("change", "named"), [(0.05, True), (-0.05, False)])
@@ -334,7 +367,7 @@ def torques_of(seen: Record, torque: Callable[[Residuals], Array]) -> Finding:
     left = residuals(found, np.zeros((len(found), 2)), law())
     assert left is not None
     r = torque(left) + noise * rng.standard_normal(left.r.shape)
-    (finding,) = torque_fault(replace(left, r=r, sigma=noise, noise=noise), NAMES)
+    (finding,) = torque_fault(replace(left, r=r, sigma=np.tile(noise, (len(r), 1)), noise=noise), NAMES)
     return finding
 
 

@@ -10,7 +10,7 @@ import fjr_core as fjr
 from fjr_monitor.diagnosis.online_diagnosis import WINDOW, Latency, OnlineDiagnosis
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import Diagnosis
-from monitor.diagnosis.loops import Certified
+from monitor.diagnosis.loops import KNOWN, Certified, in_real_time
 
 PERIOD, BETA = 1e-3, 10.0
 LAW = fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS, compile=True)
@@ -78,6 +78,27 @@ def test_states_that_wait_for_a_paused_controller_are_a_delay() -> None:
         acting, waiting = waiting[-1], []
         x = plant.step(x, acting, PERIOD - latency) if latency < PERIOD else x
     assert running.verdict().causes == ("delay",)
+
+
+@pytest.mark.parametrize(("friction", "seen"), [(0.2, set()), (0.21, {"model mismatch"})])
+def test_states_that_a_late_robot_leaves_out_are_no_model_mismatch(friction: float, seen: set[str]) -> None:
+    """It leaves out up to four states in a row, through which the older effort acts, and takes efforts over late."""
+    rng, certified, real = np.random.default_rng(2), Certified(LAW), fjr.single_link(link_damping=friction)
+    running = OnlineDiagnosis(LAW, (np.array([np.inf]), np.inf), certified)
+    lost: set[int] = set()
+    for k in rng.integers(50, 4900, 16).tolist():
+        for count in rng.integers(1, 5, 4).tolist():
+            lost, k = lost | {*range(k, k + count)}, k + count + 1
+    begins, start = rng.integers(1, 4, 5000).tolist(), LAW.robot.state(0.5, 0.5, 0.0, 0.0)
+    verdicts: list[Diagnosis] = []
+    for k, *state in in_real_time(LAW, REFERENCE, start, 5000, real, lost, begins.__getitem__):
+        certified.take(k * 1_000_000, *state, latency=KNOWN)
+        if k:
+            running.look(BETA)
+        if k // 1000 > len(verdicts):
+            verdicts.append(running.verdict())
+    for verdict in verdicts:
+        assert {*verdict.causes} & {"model mismatch"} == seen, verdict.sentence
 
 
 def test_a_verdict_ends_with_the_states_it_is_about() -> None:

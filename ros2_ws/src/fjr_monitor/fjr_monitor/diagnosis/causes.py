@@ -27,10 +27,10 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_core.stability.linear_controller import momentum_matrix
 from fjr_core.stability.linearization import held_maps
-from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen
+from fjr_monitor.diagnosis.delay_estimation import Acting, foreseen, unsure
 from fjr_monitor.diagnosis.record import Innovations, blocks_of
 
-from .thresholds import BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT, UNSURE
+from .thresholds import BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT
 
 MISMATCH, SATURATION = "model mismatch", "saturation"
 CAUSES = (MISMATCH, SATURATION, "delay", "loss")
@@ -72,13 +72,13 @@ def storage_budget(found: Innovations, acted: Acting, robot: Robot, beta: float,
     excess = np.where(gap, 0.0, excess)
     mismatch, uncertain = _persistent(found, acted, usual, robot)
     by_queue = np.where(_sums(queued(found).astype(float)) > 0, mismatch, 0.0)
-    unsure = _gain(found, (found.older - found.sent) * (UNSURE * (found.latency > 0))[:, None], robot)
+    either = _gain(found, (found.older - found.sent) * unsure(found, period)[:, None], robot)
     causes = np.stack([mismatch - by_queue, _sums(saturation + cut), _sums(late) + by_queue, _sums(lost)], axis=1)
     return StorageBudget(
         causes=causes,
         hold=_sums(np.maximum(excess, 0.0)),
         slack=_sums(np.maximum(-excess, 0.0)),
-        noise=np.abs(_sums(residual - within) - mismatch) + NOISE_DEVIATIONS * uncertain + np.abs(_sums(unsure)),
+        noise=np.abs(_sums(residual - within) - mismatch) + NOISE_DEVIATIONS * uncertain + np.abs(_sums(either)),
         judged=_sums(foreign(found).astype(float)) == 0,
     )
 
@@ -271,4 +271,5 @@ def disturbances(found: Innovations, acted: Acting, robot: Robot, period: float)
     mismatch = found.error - state_change(found, acted.cut + acted.late + acted.lost + foreseen(found), robot)
     cut, late, lost = (state_change(found, effort, robot) for effort in (saturation, acted.late, loss))
     by_queue = mismatch * queued(found)[:, None]
-    return np.stack([mismatch - by_queue, cut, late + by_queue, lost], axis=2)
+    known = unsure(found, period)[:, None] < 1.0  # else what acted is not, and the rest is the loop's own, as the hold
+    return np.stack([(mismatch - by_queue) * known, cut, late + by_queue, lost], axis=2)

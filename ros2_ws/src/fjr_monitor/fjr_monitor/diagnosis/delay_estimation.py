@@ -74,6 +74,14 @@ def foreseen(found: Innovations) -> Array:
     return np.asarray(found.latency[:, None] * (found.older - found.sent))
 
 
+def unsure(found: Innovations, period: float) -> Array:
+    """Return the share (k,) of each interval in which it is unknown which of two efforts acted; 0 without a latency.
+
+    Send times do not reveal when the robot takes over an effort. One that left out states was late with commands, too.
+    """
+    return np.where(found.dt > thresholds.GAP * period, 1.0, thresholds.UNSURE) * (found.latency > 0)
+
+
 def effort_delay(
     parts: Sequence[Innovations], robot: Robot, timed: bool | None = None, by_torque: bool = True
 ) -> EffortDelay:
@@ -121,7 +129,8 @@ def _changes(found: Innovations, robot: Robot, timed: bool | None) -> Array:
     block = int(np.clip((len(found) - thresholds.OLDEST) // FEWEST_CHANGES, 1, thresholds.BLOCK))
     delayed = [_delayed(sent, d) for d in range(thresholds.OLDEST + 1)]
     steps = [older - newer for newer, older in pairwise(delayed)]
-    columns = np.stack([required - sent, sent, *steps, found.after - sent, found.before - sent], axis=2)
+    measured = (np.nan_to_num(each - sent) for each in (found.after, found.before))
+    columns = np.stack([required - sent, sent, *steps, *measured], axis=2)
     rows, values = (blocks_of(each[thresholds.OLDEST :], block) for each in (regular, columns))
     share = rows.mean(axis=1)
     with np.errstate(all="ignore"):
@@ -132,15 +141,12 @@ def _changes(found: Innovations, robot: Robot, timed: bool | None) -> Array:
 
 def _square(products: Array, of: Array) -> float:
     """Return the sum of squares of a combination of columns with these products, which rounding may make negative."""
-    used = np.flatnonzero(of)
-    return max(0.0, float(of[used] @ products[np.ix_(used, used)] @ of[used]))
+    return max(0.0, float(of @ products @ of))
 
 
 def _fit(products: Array, y: Array, b: Array, least: float) -> tuple[float, float]:
     """Fit the fraction, `least` to 1, of b in y, combinations of columns; return it and the residual sum of squares."""
-    used = np.flatnonzero((y != 0) | (b != 0))
-    square = products[np.ix_(used, used)]
-    power, shared = float(b[used] @ square @ b[used]), float(b[used] @ square @ y[used])
+    power, shared = float(b @ products @ b), float(b @ products @ y)
     fraction = float(np.clip(shared / power, least, 1.0)) if power > 0 else 0.0
     return fraction, _square(products, y - fraction * b)
 

@@ -22,11 +22,12 @@ from fjr_core.model.robot import Robot
 from fjr_core.monitoring.certificate import Prediction
 from fjr_core.numerics.checks import Array
 
+from .delay_estimation import unsure
 from .record import Innovations, blocks_of
 from .thresholds import BLOCK
 
 FEWEST_BLOCKS = 20  # smallest number of blocks of a regression
-FLOOR = 1e-3
+FLOOR = 3e-4
 """Residual relative to the torques of its equation that is attributed to rounding and discretisation."""
 STEP = 1e-4  # of differences of the prediction [rad, rad/s]
 
@@ -35,9 +36,9 @@ STEP = 1e-4  # of differences of the prediction [rad, rad/s]
 class Residuals:
     """Residual torques over b blocks of intervals, and the regressors.
 
-    r (b, 2n) [N m]: of the link equations, then of the motor equations. sigma (2n,) [N m]: standard deviation of r due
-    to noise and rounding. noise (2n,) [N m]: due to noise alone. q, dq, ddq (k, 2n): midpoint position, velocity and
-    acceleration of each interval. u (k, n) [N m]: acting effort.
+    r (b, 2n) [N m]: of the link equations, then of the motor equations. sigma (b, 2n) [N m]: standard deviation of r
+    due to noise, rounding and unknown instants of efforts. noise (2n,) [N m]: due to noise alone. q, dq, ddq (k, 2n):
+    midpoint position, velocity and acceleration of each interval. u (k, n) [N m]: acting effort.
     """
 
     found: Innovations
@@ -100,9 +101,13 @@ def residuals(found: Innovations, late: Array, law: TrackingLaw) -> Residuals | 
     raw[:, n:] -= late @ robot.B_m.T
     u, r = found.sent + late, blocks_of(raw, block).mean(axis=1)
     spring = np.abs(springs.torques(robot, q[:, n:] - q[:, :n]))
-    scale = np.hstack([spring, spring + np.abs(u @ robot.B_m.T)])
+    scale = np.sqrt(blocks_of(np.hstack([spring, spring + np.abs(u @ robot.B_m.T)]) ** 2, block).mean(axis=1))
+    scale = np.maximum(scale, np.median(scale, axis=0))  # where a motion rests for a moment its torques vanish
     noise = sensor_noise(found, raw, robot, block)
-    sigma = np.hypot(noise, FLOOR * np.sqrt(np.mean(scale**2, axis=0)) + 1e-12)
+    sigma = np.hypot(noise, FLOOR * scale + 1e-12)
+    unknown = (found.older - found.sent) @ robot.B_m.T * unsure(found, float(np.median(found.dt)))[:, None]
+    changes = blocks_of(unknown, block)  # efforts begin late all over a block, or by chance in each interval
+    sigma[:, n:] = np.sqrt(sigma[:, n:] ** 2 + changes.mean(axis=1) ** 2 + (changes**2).mean(axis=1) / block)
     return Residuals(found, robot, Prediction(law), block, r, sigma, noise, q, dq, ddq, u)
 
 

@@ -188,8 +188,7 @@ def _named(
     joint is named. If no fault explains enough, torques on links alone, not all the time, are external; else the place
     of the torques is named if there is one.
     """
-    total = float(((seen.r / seen.sigma) ** 2).sum())
-    noise = float(((seen.noise / seen.sigma) ** 2).sum() * len(seen.r))
+    total, noise = (float(((each / seen.sigma) ** 2).sum()) for each in (seen.r, seen.noise))
     alone = [each for each in fitted if each.fault.joint is not None or each.fault.side == BASE]
     if explained_share(alone[0].left - noise, total - noise) > ONE_JOINT:
         fitted = alone
@@ -237,11 +236,12 @@ def at_one_place(seen: Residuals, names: Sequence[str]) -> Finding | None:
     """
     n, y = seen.robot.n, seen.r / seen.sigma
     signs = np.vstack([np.eye(2 * n), np.eye(n, 2 * n) - np.eye(n, 2 * n, n)])
-    directions = signs / seen.sigma / np.linalg.norm(signs / seen.sigma, axis=1, keepdims=True)
-    left = float((y**2).sum()) - ((y @ directions.T) ** 2).sum(axis=0)
-    of_noise = len(y) * (seen.noise / seen.sigma) ** 2
+    directions = signs / seen.sigma[:, None]  # of each block
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    left = float((y**2).sum()) - (np.einsum("bi,bpi->bp", y, directions) ** 2).sum(axis=0)
+    of_noise = (seen.noise / seen.sigma) ** 2
     best, total, noise = int(np.argmin(left)), float((y**2).sum()), float(of_noise.sum())
-    share = explained_share(left[best] - noise + float(directions[best] ** 2 @ of_noise), total - noise)
+    share = explained_share(left[best] - noise + float((directions[:, best] ** 2 * of_noise).sum()), total - noise)
     others = left[np.arange(3 * n) % n != best % n]
     if share < EXPLAINED or not all(_clearly(left[best], each, y.size) for each in others):
         return None
@@ -260,8 +260,9 @@ def external_torque(seen: Residuals, names: Sequence[str]) -> Finding | None:
     size, n = np.abs(seen.r), seen.robot.n
     largest = size.max(axis=0)
     on_l = largest[:n]
-    felt = on_l > np.maximum(SIGNIFICANT * seen.sigma[:n], NEGLIGIBLE * on_l.max())
-    acting = size[:, :n] > np.maximum(SIGNIFICANT * seen.sigma[:n], QUIET * on_l)
+    significant = size[:, :n] > SIGNIFICANT * seen.sigma[:, :n]
+    felt = significant.any(axis=0) & (on_l > NEGLIGIBLE * on_l.max())
+    acting = significant & (size[:, :n] > QUIET * on_l)
     often = float((acting & felt).any(axis=1).mean())
     power = (seen.r * seen.means(seen.dq))[:, :n]
     driven = np.maximum(power, 0.0).sum(axis=0) > DRIVEN * np.abs(power).sum(axis=0)

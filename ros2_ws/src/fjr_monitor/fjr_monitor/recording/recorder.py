@@ -248,8 +248,7 @@ class Recorder:
 
     def _drain_all(self, most: int) -> bool:
         """Write at most `most` messages of each topic; return whether one may have more."""
-        left = [self._drain(track, most) for track in tuple(self._tracks.values())]
-        return any(left)
+        return sum(self._drain(track, most) for track in tuple(self._tracks.values())) > 0
 
     def _drain(self, track: Track, most: int) -> bool:
         """Write at most `most` messages of a subscription; return whether there were as many."""

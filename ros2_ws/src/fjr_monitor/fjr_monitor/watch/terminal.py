@@ -29,15 +29,8 @@ NAME, POSITION, VELOCITY, DEFLECTION, ERROR, ERRORS, EFFORT, EFFORTS, SHARE = CO
 HISTORY, BESIDE = 60, 34  # characters of the sparkline, and of what stands beside it
 LEAST = 1e-20  # J or W; smaller amounts, such as the bound of V after some seconds, are not told apart
 LARGE = 1e-2  # rad, of an error
-CERTIFICATE = (  # published label, displayed name, unit
-    ("V", "V", "J"),
-    ("bound", "bound", "J"),
-    ("dV_measured", "dV/dt measured", "W"),
-    ("dV_predicted", "predicted", "W"),
-    ("H", "H", "J"),
-    ("supplied", "supplied", "W"),
-    ("dissipated", "dissipated", "W"),
-)
+CERTIFICATE = dict.fromkeys(("V", "bound", "H"), "J")  # units by label, in the order of the display
+CERTIFICATE |= dict.fromkeys(("dV_measured", "dV_predicted", "supplied", "dissipated"), "W")
 
 
 def render(view: View, width: int = WIDE) -> RenderableType:
@@ -149,8 +142,8 @@ def _certificate(view: View, width: int) -> Panel:
     else:
         values = view.certificate
         numbers = [
-            f"{name} {_amount(values[key], unit)}"
-            for key, name, unit in CERTIFICATE
+            f"{key.replace('dV_', 'dV/dt ')} {_amount(values[key], unit)}"
+            for key, unit in CERTIFICATE.items()
             if key in values and not (key == "bound" and values[key] < 0)  # negative: no bound
         ]
         finite = [value for value in view.history if math.isfinite(value)]
