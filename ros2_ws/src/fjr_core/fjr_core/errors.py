@@ -39,12 +39,12 @@ class ParameterError(FjrError):
 
 
 @contextmanager
-def prefixed(start: str, kind: type[FjrError] = ParameterError) -> Iterator[None]:
-    """Turn an error of this kind in the block into a ParameterError, whose sentence begins with `start`."""
+def prefixed(start: str, kind: type[FjrError] = ParameterError, new: type[FjrError] = ParameterError) -> Iterator[None]:
+    """Turn an error of this kind in the block into a `new` one, whose sentence begins with `start`."""
     try:
         yield
     except kind as error:
-        raise ParameterError(f"{start}{error}") from None
+        raise new(f"{start}{error}") from None
 
 
 class RecordError(FjrError):

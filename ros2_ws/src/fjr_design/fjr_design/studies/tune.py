@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from fjr_core.config.ros_yaml import check_keys, number, whole
 from fjr_core.errors import PIP, FjrError, ParameterError
 from fjr_core.law.interfaces import SampledLaw
 from fjr_core.numerics.checks import Array
