@@ -51,7 +51,7 @@ class Reports(Health):
         """Publish an event, and count and log it by its level and kind."""
         if event.kind.startswith(STOPS):
             self._logged.clear()  # what follows a stop, such as ~/resume, is news again
-        if event.kind.startswith((STARTS_REFUSED, TRAJECTORY_REFUSED)):
+        elif event.kind.startswith((STARTS_REFUSED, TRAJECTORY_REFUSED)):
             self._logged.discard(event.kind)
         self.note(event.level, event.kind, event.sentence)
         values = dict(event.values) if event.stamp is None else {**event.values, STAMP: event.stamp}

@@ -158,7 +158,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     found, _ = _named(seen, fitted, names)
     rubs = [each for each in fitted if each.kind in FRICTIONS and (each.fault.joint is None or seen.robot.n == 1)]
     rubbing = rubs[0] if rubs else None
-    if rubbing is None or found.kind not in (UNKNOWN, rubbing.kind) or (found.kind == UNKNOWN and found.joint):
+    if rubbing is None or found.kind not in (UNKNOWN, *FRICTIONS) or (found.kind == UNKNOWN and found.joint):
         return (found,)
     rest = replace(seen, r=seen.r - rubbing.fault.columns @ rubbing.fitted)
     left = rubbing.left / float(((seen.r / seen.sigma) ** 2).sum())
@@ -169,8 +169,8 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
         return (found,)
     friction = Regression(seen, best.fault).fit(rubbing.fault) or rubbing
     what = f"{friction.place(names)} explains {percent(1 - left, 0)} of the residual torque"
-    fault = friction.fault
-    return Finding(friction.kind, found.joint, fault.side, friction.size, fault.unit, 1 - left, what), other
+    fault, joint = friction.fault, names[0] if seen.robot.n == 1 else ""
+    return Finding(friction.kind, joint, fault.side, friction.size, fault.unit, 1 - left, what), other
 
 
 def _present(seen: Residuals) -> bool:
