@@ -162,6 +162,7 @@ def test_the_operations_after_one_state_are_bounded() -> None:
     for t, q, dq, u in zip(run.t, run.position, run.velocity, run.u, strict=True):
         check._lib.fjr_wiring_see(check.state, t, check._pointer(q), check._pointer(dq))
         done.append(check._lib.fjr_wiring_compare(check._model, check.state))
+        assert not check._lib.fjr_wiring_compare(check._model, check.state), "it waits for the next state"
         went_on += check.state.comparing
         if check.state.found or not np.isfinite(u).all():
             break
