@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import itertools
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
@@ -116,6 +118,30 @@ def test_malformed_states_are_refused_counted_and_reported_once_and_the_node_con
     said = capfd.readouterr().err
     assert said.count("state refused") == len(BAD_STATES)
     assert "state refused: names are ['joint1']; expected ['joint1_motor'] among them (logged once" in said
+
+
+def test_diagnostics_say_for_how_long_states_are_missing_while_they_are(ros: Ros, peer: Peer) -> None:
+    """What the controller would do, such as tracking, is no answer while the driver is dead."""
+    node, times = ros.controller(state_timeout=0.3), itertools.count()
+
+    def silent(seconds: int) -> bool:
+        """Return whether the latest status says that there were no states for so long."""
+        own = peer.diagnostics[-1].status[0] if peer.diagnostics else DiagnosticStatus()
+        state = {pair.key: pair.value for pair in own.values}.get("state", "")
+        said = f"no states for {seconds} s"
+        return own.level == DiagnosticStatus.ERROR and own.message == f"{said}, silences" and state == said
+
+    def heard() -> bool:
+        """Send one more state; return whether the latest status is that of a loop with states."""
+        peer.state_publisher.publish(stamped(5.0 + 1e-3 * next(times)))
+        message = peer.diagnostics[-1].status[0].message
+        return "silences" in message and "no states" not in message
+
+    peer.ask(stamped(0.0))
+    for seconds in (1, 2):
+        ros.until(lambda seconds=seconds: silent(seconds), f"{seconds} s")
+    ros.until(heard, "states again")
+    node.stop()
 
 
 def test_use_sim_time_changes_only_while_unconfigured(ros: Ros, manager: Manager) -> None:

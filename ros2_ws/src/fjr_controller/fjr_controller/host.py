@@ -63,12 +63,7 @@ class RclpyControllerHost(RclpyHost):
     name = "command loop"
 
     def __init__(
-        self,
-        node: Node,
-        program: Program,
-        loop: Any,
-        raise_failure: Callable[[], None],
-        read: Callable[[], None],
+        self, node: Node, program: Program, loop: Any, raise_failure: Callable[[], None], read: Callable[[], None]
     ) -> None:
         """Subscribe to the states.
 

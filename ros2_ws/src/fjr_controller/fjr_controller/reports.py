@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+import time
 from dataclasses import replace
 
 from rclpy.node import Node
@@ -43,7 +44,7 @@ class Reports(Health):
     def __init__(self, node: Node, step: ControlStep, events: EventWriter, robot: str) -> None:
         """Create the publisher; robot: name in the hardware_id of the diagnostics."""
         super().__init__(node, (RECEIVED, ANSWERED), robot)
-        self._step, self._events = step, events
+        self._step, self._events, self._heard = step, events, (0, 0.0)  # states received, and when
         self._expected |= set(EXPECTED)
         inspect.getframeinfo(sys._getframe())  # the first line of the log costs 25 ms: pay it before samples arrive
 
@@ -72,11 +73,16 @@ class Reports(Health):
                 event = replace(event, sentence=f"{event.sentence}; states come from {', '.join(map(node_of, found))}")
             self.event(event)
 
-    def publish(self) -> None:
+    def publish(self, wrong: str = "") -> None:
         """Publish the counters; the number of the control step is used for a kind that both count."""
         for kind, number in self._step.counters.items():
             self.count[kind] = max(number, self.count[kind])
         for name, seconds in self._step.seconds.items():
             self.value(f"seconds {name}", f"{seconds:.3f}")
-        self.value("state", self._step.state.value)
-        super().publish()
+        received, now = self.count[RECEIVED], time.monotonic()
+        if not received or received != self._heard[0] or self._step.owner is None:  # as of a node that is not active
+            self._heard = received, now
+        silent = now - self._heard[1]
+        wrong = f"no states for {silent:.0f} s" if silent > self._step.settings.state_timeout else wrong
+        self.value("state", wrong or self._step.state.value)
+        super().publish(wrong)

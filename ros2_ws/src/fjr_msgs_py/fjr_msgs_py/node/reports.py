@@ -212,15 +212,15 @@ class Health:
             self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
 
-    def publish(self) -> None:
-        """Publish the counters."""
+    def publish(self, wrong: str = "") -> None:
+        """Publish the counters; wrong: what is wrong at present, which makes the status ERROR."""
         count = self.count
         unwanted = [key for key, value in count.items() if value and key not in self._expected]
         level = DiagnosticStatus.WARN if unwanted else DiagnosticStatus.OK
         status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if self._errors & set(unwanted) else level,
+            level=DiagnosticStatus.ERROR if wrong or self._errors & set(unwanted) else level,
             name=full_name(self._node),
-            message=", ".join(unwanted) or "ok",
+            message=", ".join(filter(None, (wrong, *unwanted))) or "ok",
             values=[KeyValue(key=key, value=str(value)) for key, value in count.items()]
             + [KeyValue(key=key, value=text) for key, text in self._values.items()],
         )
