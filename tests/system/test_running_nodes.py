@@ -73,6 +73,7 @@ def test_record_keeps_the_named_topics_and_overwrites_nothing(loop: None, tmp_pa
     with AnyReader([tmp_path / "bag"], default_typestore=STORE) as reader:
         counts = {connection.topic: connection.msgcount for connection in reader.connections}
         assert set(counts) == {"/left/joint_states", "/left/joint_commands"}
+        assert reader.duration > 4.5e9, "5 s count from the first message on, not from the start of the command"
         connection, _, raw = next(reader.messages())
         assert np.isfinite(reader.deserialize(raw, connection.msgtype).effort).all()
     assert "not overwritten" in fjr_here("record", *output, code=1)

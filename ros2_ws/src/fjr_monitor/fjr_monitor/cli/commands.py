@@ -48,7 +48,7 @@ def echo(**given: Any) -> Any:
 @options.command()
 @click.argument("topics", nargs=-1, metavar="[TOPIC]...")
 @options.output_option("A new folder. [default: bag_ and the time]")
-@options.duration_option("Duration in seconds. [default: until Ctrl-C]")
+@options.duration_option("Duration in seconds, from the first message on. [default: until Ctrl-C]")
 @options.force_over_ros2
 def record(**given: Any) -> Any:
     """Record topics to an MCAP bag, as `ros2 bag record`.

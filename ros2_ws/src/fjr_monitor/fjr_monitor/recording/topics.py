@@ -118,7 +118,7 @@ def _published(node: Node) -> str:
 
 
 def record(topics: Sequence[str], output: Path | None, duration: float | None, force: bool) -> Result:
-    """Record the named topics, or all, for `duration` [s] or until Ctrl-C; return what was recorded.
+    """Record the named topics, or all, for `duration` [s] from the first message on, if one comes, or until Ctrl-C.
 
     output: new folder of the bag; None: one named after the time. Raise FjrError.
     """
@@ -130,12 +130,13 @@ def record(topics: Sequence[str], output: Path | None, duration: float | None, f
     folder = output or Path(f"bag_{datetime.now():%Y_%m_%d-%H_%M_%S}")
     if folder.exists():
         raise FolderError(f"{folder} exists: not overwritten; expected the name of a new folder")
-    what, limit = ", ".join(wanted) or "all topics", "Ctrl-C ends" if duration is None else f"for {duration:g} s"
+    what, limit = ", ".join(wanted) or "all topics", "Ctrl-C ends" if duration is None else f"{duration:g} s long"
     tell(f"records {what} into {folder}; {limit}")
     with stoppable() as stop, Recorder(folder, topics=wanted) as recorder:
-        end = math.inf if duration is None else time.monotonic() + duration
+        end, heard = time.monotonic() + (duration or math.inf), False
         while not (recorder.loss or recorder.failure or stop.wait(POLL)) and time.monotonic() < end:
-            pass
+            if not heard and any(channel.count for channel in recorder.writer.channels):
+                end, heard = time.monotonic() + (duration or math.inf), True
     if recorder.failure:  # also in its last round
         raise FjrError(f"the recorder failed: {recorder.failure}")
     return _recorded(recorder, wanted, folder)
@@ -149,9 +150,8 @@ def _recorded(recorder: Recorder, wanted: Sequence[str], folder: Path) -> Result
     lines += [f"not recorded: {topic}, {reason}" for topic, reason in sorted(recorder.skipped.items())]
     lines += [f"not complete: {recorder.loss}"] if recorder.loss else []
     lines += [f"nothing came on {topic}" for topic in wanted if topic not in recorded | set(recorder.skipped)]
-    total = sum(channel.count for channel in channels)
-    text = "\n".join([*lines, f"{total} messages of {len(recorded)} topics in {folder}"])
     counts = {channel.topic: channel.count for channel in channels}
+    text = "\n".join([*lines, f"{sum(counts.values())} messages of {len(recorded)} topics in {folder}"])
     values = {"folder": folder, "messages": counts, "not_recorded": recorder.skipped, "loss": recorder.loss}
     return Result(text, values, code=1 if recorder.loss else 0)
 
