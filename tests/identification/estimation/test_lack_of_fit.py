@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from core.oracles.elastic_joint import ElasticJoint, integrated, multi_sine, usual_record
+from fjr_core.model.joints import JointSample
 from fjr_design.uncertainty.posterior import IDENTIFIED, LOG, UNKNOWN, Estimate, Identification
 from fjr_identification.estimation.estimation_problem import Estimation
 from fjr_identification.estimation.filtered_fit import filtered_estimates, filtered_fit
@@ -20,6 +21,9 @@ from fjr_identification.estimation.motion_record import MotionRecord
 from fjr_identification.estimation.parameters import IdentifyOptions, prior_of
 from fjr_identification.estimation.verdicts import Estimates
 from fjr_identification.page import springs_seen as lines
+from fjr_msgs_py.scenarios import library
+from fjr_plant.lock_step import START
+from fjr_plant.simulated_robot import simulated
 from identification.estimation.test_identify import robot_like
 from physics.coverage import read
 from physics.draws import Case, Draws, drawn
@@ -70,6 +74,27 @@ def test_an_encoder_of_a_joint_that_turns_far_is_eccentric_only_if_it_is(seed: i
         setup = Estimation([record], robot, prior_of(robot), IdentifyOptions())
         said.append(seen(setup, filtered_fit(setup, setup.coordinates.mean))["joint1"].wrong)
     assert said == ["", "q_m - q_l depends on the position: an encoder is eccentric"]
+
+
+@pytest.mark.parametrize(("level", "over"), [(0.05, 0.01), (0.08, 0.005), (0.15, 0.01)])
+def test_friction_that_falls_with_the_speed_is_no_kinematic_error_of_the_gear(level: float, over: float) -> None:
+    """Stribeck's, half as large again near rest, on the link of the paper's joint with encoders of 19 bits."""
+    sizes = {"link_coulomb_friction": level, "link_static_friction": 1.5 * level, "friction_smoothing_velocity": over}
+    sizes |= {"link_encoder_bits": 19.0, "motor_encoder_bits": 19.0}
+    loop = library.load("paper_k31", [f"imperfections.{name}:=[{size}]" for name, size in sizes.items()])
+    (robot, _), step = simulated(loop.plant_values, loop.plant, loop.x0), loop.control_step(simulated=True)
+    rows = []
+    for k in range(12_000):
+        (q_l, q_m), (dq_l, dq_m) = (each.reshape(2, 1) for each in robot.measure()[:2])
+        command = step.command(JointSample(k * 1_000_000 + START, q_l, q_m, dq_l, dq_m), k * 1_000_000)
+        assert command is not None
+        robot.u = command.u.copy()
+        rows.append((q_l, q_m, robot.u))
+        robot.advance_to((k + 1) * 1_000_000)
+    q_l, q_m, u = np.array(rows).transpose(1, 0, 2)
+    record = MotionRecord("a record", ("joint1",), 1e-3, u, q_l, q_m, np.full_like(u, np.nan))
+    setup = Estimation([record], loop.robot, prior_of(loop.robot), IdentifyOptions(threads=1))
+    assert seen(setup, filtered_fit(setup, setup.coordinates.mean))["joint1"].wrong == ""
 
 
 def test_what_is_wrong_with_a_prismatic_joint_is_said_in_its_units() -> None:

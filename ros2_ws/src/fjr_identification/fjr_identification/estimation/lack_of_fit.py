@@ -53,6 +53,7 @@ LIGHT, MOST = 0.05, 4.0  # least error of the links that is named, and largest f
 CURVED = 0.1  # least relative change of a stiffness that is named
 OUTLYING = 4.0  # median errors, beyond which they are cut where a kinematic error is sought: friction at reversals
 FAINT, SURER = 0.1, 8.0  # as SHARE and SURE, of a kinematic error, whose band has more noise
+SLOW, MOSTLY = 0.1, 0.4  # of the RMS velocity, and share of a wave above it; below, friction leaves what resembles one
 
 Parameter = tuple[str, int]  # name and index
 
@@ -243,8 +244,8 @@ def _of_gear(setup: Estimation, sides: Sequence[Side], columns: Sequence[Paramet
     rows = replace(rows, errors=errors)
     powers = np.sum(np.einsum("pkc,k->pc", waves, errors) ** 2, axis=1) / np.maximum(passed.sum(axis=1), len(q) / 20)
     best = int(np.argmax(powers))
-    term = rows.term(waves[best])
-    if not term.is_cause(FAINT, SURER):
+    term, turning = rows.term(waves[best]), np.abs(v) > SLOW * np.sqrt(np.mean(v**2))
+    if not term.is_cause(FAINT, SURER) or rows.term(waves[best] * turning[:, None]).share < MOSTLY * term.share:
         return ""
     size, turns = float(np.hypot(*term.c)), PERIODS[best]
     return f"kinematic error of about {1e3 * size:.2g} mrad, {turns:.0f} times in a turn of the joint"
