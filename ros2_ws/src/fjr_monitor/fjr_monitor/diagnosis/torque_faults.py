@@ -156,10 +156,10 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     faults = list(hypotheses(seen))
     fitted = Regression(seen).fits(faults)
     found, _ = _named(seen, fitted, names)
-    rubs = [each for each in fitted if each.kind in FRICTIONS and (each.fault.joint is None or seen.robot.n == 1)]
-    rubbing = rubs[0] if rubs else None
-    if rubbing is None or found.kind not in (UNKNOWN, *FRICTIONS) or (found.kind == UNKNOWN and found.joint):
+    frictions = [each for each in fitted if each.kind in FRICTIONS and (each.fault.joint is None or seen.robot.n == 1)]
+    if not frictions or found.kind not in (UNKNOWN, *FRICTIONS) or (found.kind == UNKNOWN and found.joint):
         return (found,)
+    rubbing = frictions[0]
     rest = replace(seen, r=seen.r - rubbing.fault.columns @ rubbing.fitted)
     left = rubbing.left / float(((seen.r / seen.sigma) ** 2).sum())
     if not PART < left < 1 - PART or not _present(rest):
