@@ -16,7 +16,7 @@ import numpy as np
 
 from fjr_core.numerics.checks import Array
 
-from .cases import DURATION, JOINTS, Case, nominal, start_of
+from .cases import DURATION, JOINTS, TORQUE, Case, nominal, start_of
 from .lock_step import Change
 
 TUNING_SEEDS, VALIDATION_SEED = (11, 12, 13, 14, 15), 16
@@ -32,6 +32,8 @@ NOISE = {  # standard deviations of all sensors, except in "perfect" runs
     "motor_velocity_noise": 5e-4,
 }
 SPREAD = 0.2  # relative spread of the sizes
+RUBBING = 0.02, 0.1  # friction of an arm that rubs, relative to the torque of each joint
+UNRUBBED = ("Coulomb friction", "viscous friction", "velocity scale", "velocity delay")
 FOREIGN_SEED, FOREIGN_COUNT, FOREIGN_DURATION = 28, 200, 4.0  # s
 MARGINS = {"paper_k31": 5.45e-3, "two_link": 10.1e-3, "arm7": 2.38e-3}  # s, of delay
 Maker = Callable[[Case], Case]
@@ -167,6 +169,20 @@ def _case(rng: np.random.Generator, kind: str, i: int, scenario: str) -> Case | 
     case = Case(f"{scenario} {kind} {side} {j + 1} {f:.3g}", scenario, kind, joint=j, side=side, size=f)
     case = maker(case.imperfect(seed=int(rng.integers(1000)), **noise_of(n)))
     return replace(case, start=start_of(scenario, rng))
+
+
+def rubbing(seed: int = VALIDATION_SEED) -> list[Case]:
+    """Return the faults of torques and positions, other than friction, in arms all of whose motors rub.
+
+    Coulomb friction of a random level for each motor, 1.3 times as large at rest.
+    """
+    rng, found = np.random.default_rng(seed), []
+    for case in (each for each in cases(seed) if each.kind in FAULTS and each.kind not in UNRUBBED):
+        level = np.array(TORQUE[case.scenario]) * rng.uniform(*RUBBING, case.n)
+        friction = {"coulomb": level.tolist(), "static": (1.3 * level).tolist()}
+        named = {f"motor_{name}_friction": sizes for name, sizes in friction.items()}
+        found.append(case.imperfect(**named, friction_smoothing_velocity=[0.05] * case.n))
+    return found
 
 
 # Faults and physics that the sets lack.

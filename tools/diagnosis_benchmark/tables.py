@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnose every labelled run and every labelled fault; regenerate the tables of docs/tables/diagnosis.md.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults wiring alarms foreign
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults rubbing wiring alarms foreign
 
 Runs are diagnosed from their bags, faults from their records. Each wrong diagnosis is printed to stderr. Causes and
 faults take 10 and 15 minutes. Results of `foreign` are kept in RESULTS: a later call takes up where an earlier one
@@ -24,6 +24,7 @@ import numpy as np
 
 from bench.figures import ROOT, kept, markdown, put
 from fjr_monitor.diagnosis.diagnosis import diagnose
+from fjr_monitor.diagnosis.hypotheses import FRICTIONS
 from fjr_monitor.diagnosis.record import Record
 from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.torque_faults import UNKNOWN
@@ -38,6 +39,7 @@ from .wiring import HEALTHY_LASTING, LASTING, SEEDS, SENSORS, Stop, healthy, wit
 NAMES = (HOLDING, "model mismatch", "saturation", "delay", "loss", "sampling")
 RESULTS = ROOT / "runs" / "foreign"
 STARTS = 60  # of each robot and kind of noise
+OF_RUBBING = "kind and joint named", "joint named", "friction alone", "nothing", "a healthy joint named"
 OTHER, SEVERAL = "several or none", "several"
 KINDS = (*FAULTS, *WIRING, HEALTHY)
 SHORT = {kind: chr(ord("a") + i) for i, kind in enumerate(KINDS)}
@@ -137,6 +139,28 @@ def faults_table() -> list[str]:
     return [f"Validation set (seed {seed}):", "", said, "", *markdown(head, rows)]
 
 
+def rubbing_table() -> list[str]:
+    """Return what is said of faults in arms whose motors rub, a row for each kind."""
+    counts = Counter((case.kind, said_of_rubbing(case)) for case in faults.rubbing())
+    kinds = list(dict.fromkeys(kind for kind, _ in counts))
+    rows = [(kind, *(str(counts[kind, said] or "") for said in OF_RUBBING)) for kind in kinds]
+    return markdown(("fault", *OF_RUBBING), rows)
+
+
+def said_of_rubbing(case: Case) -> str:
+    """Simulate a fault in an arm that rubs; return what the findings beside friction name."""
+    *_, said = diagnosed_fault(case)
+    others = [each for each in said.findings if each.kind not in FRICTIONS]
+    if any(each.joint not in ("", joints_of(case)) for each in others):
+        print(f"{case.name}: {said.sentence}", file=sys.stderr, flush=True)
+        return OF_RUBBING[4]
+    if any(case.kind in each.kind.split(" or ") for each in others):
+        return OF_RUBBING[0]
+    if any(each.joint for each in others):
+        return OF_RUBBING[1]
+    return OF_RUBBING[2] if said.findings and said.findings[0].kind in FRICTIONS else OF_RUBBING[3]
+
+
 def wiring() -> list[str]:
     """Return the table of how fast each fault is found; print which of 200 healthy starts of a robot are stopped."""
     rows = []
@@ -209,6 +233,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
         *causes_of("Set on which the thresholds were tuned", cases.TUNING_SEED),
     ],
     "faults": faults_table,
+    "rubbing": rubbing_table,
     "wiring": wiring,
     "alarms": alarms,
     "foreign": foreign_table,
