@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnose every labelled run and every labelled fault; regenerate the tables of docs/tables/diagnosis.md.
 
-. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults rubbing wiring alarms foreign
+. ros2_ws/install/setup.sh && .venv/bin/python -m tools.diagnosis_benchmark.tables causes faults rubbing wiring alarms
 
-Runs are diagnosed from their bags, faults from their records. Each wrong diagnosis is printed to stderr. Causes and
-faults take 10 and 15 minutes. Results of `foreign` are kept in RESULTS: a later call takes up where an earlier one
-ended, and several processes, each in an order of its own, share the work.
+Runs are diagnosed from their bags, faults from their records. Each wrong diagnosis is printed to stderr. `foreign`
+takes 6 minutes. Its results are kept in RESULTS: a later call takes up where an earlier one ended, and several
+processes, each in an order of its own, share the work.
 """
 
 from __future__ import annotations
