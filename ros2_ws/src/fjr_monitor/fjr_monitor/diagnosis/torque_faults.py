@@ -149,28 +149,29 @@ def _clearly(left: float, other: float, cells: int) -> bool:
 def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     """Return the fault that explains the residual torques, or "unknown" if none does; nothing if they are small.
 
-    Real joints rub: where friction of all joints explains a part only, another fault may explain the rest.
+    Real gears rub: where friction of all motors explains a part only, another fault may explain the rest.
     """
     if not _present(seen):
         return ()
     faults = list(hypotheses(seen))
     fitted = Regression(seen).fits(faults)
     found, _ = _named(seen, fitted, names)
-    frictions = [each for each in fitted if each.kind in FRICTIONS and (each.fault.joint is None or seen.robot.n == 1)]
-    if not frictions or found.kind not in (UNKNOWN, *FRICTIONS) or (found.kind == UNKNOWN and found.joint):
+    everywhere = 0 if seen.robot.n == 1 else None
+    of_motors = (each for each in fitted if (each.fault.side, each.fault.joint) == (MOTOR, everywhere))
+    rubbing = next((each for each in of_motors if each.kind in FRICTIONS), None)
+    if rubbing is None or found.kind not in (UNKNOWN, EXTERNAL, *FRICTIONS) or (found.kind == UNKNOWN and found.joint):
         return (found,)
-    rubbing = frictions[0]
     rest = replace(seen, r=seen.r - rubbing.fault.columns @ rubbing.fitted)
     left = rubbing.left / float(((seen.r / seen.sigma) ** 2).sum())
     if not PART < left < 1 - PART or not _present(rest):
         return (found,)
     other, best = _named(rest, Regression(rest, rubbing.fault).fits(faults), names, "what friction leaves")
-    if other.kind == UNKNOWN:
+    if other.kind in (UNKNOWN, found.kind):
         return (found,)
     friction = Regression(seen, best.fault).fit(rubbing.fault) or rubbing
     what = f"{friction.place(names)} explains {percent(1 - left, 0)} of the residual torque"
-    fault, joint = friction.fault, names[0] if seen.robot.n == 1 else ""
-    return Finding(friction.kind, joint, fault.side, friction.size, fault.unit, 1 - left, what), other
+    joint, unit = "" if everywhere is None else names[0], friction.fault.unit
+    return Finding(friction.kind, joint, MOTOR, friction.size, unit, 1 - left, what), other
 
 
 def _present(seen: Residuals) -> bool:
