@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import itertools
+import re
 from unittest.mock import Mock
 
 import numpy as np
@@ -122,25 +122,22 @@ def test_malformed_states_are_refused_counted_and_reported_once_and_the_node_con
 
 def test_diagnostics_say_for_how_long_states_are_missing_while_they_are(ros: Ros, peer: Peer) -> None:
     """What the controller would do, such as tracking, is no answer while the driver is dead."""
-    node, times = ros.controller(state_timeout=0.3), itertools.count()
+    node = ros.controller(state_timeout=0.3)
 
-    def silent(seconds: int) -> bool:
-        """Return whether the latest status says that there were no states for so long."""
+    def silent() -> int:
+        """Return for how many seconds the latest status and its state miss states, 0 unless it is an error."""
         own = peer.diagnostics[-1].status[0] if peer.diagnostics else DiagnosticStatus()
         state = {pair.key: pair.value for pair in own.values}.get("state", "")
-        said = f"no states for {seconds} s"
-        return own.level == DiagnosticStatus.ERROR and own.message == f"{said}, silences" and state == said
-
-    def heard() -> bool:
-        """Send one more state; return whether the latest status is that of a loop with states."""
-        peer.state_publisher.publish(stamped(5.0 + 1e-3 * next(times)))
-        message = peer.diagnostics[-1].status[0].message
-        return "silences" in message and "no states" not in message
+        said = re.fullmatch(r"(no states for (\d+) s), silences", own.message)
+        right = said is not None and own.level == DiagnosticStatus.ERROR and state == said[1]
+        return int(said[2]) if right else 0
 
     peer.ask(stamped(0.0))
-    for seconds in (1, 2):
-        ros.until(lambda seconds=seconds: silent(seconds), f"{seconds} s")
-    ros.until(heard, "states again")
+    ros.until(silent, "a silence")
+    first = silent()
+    ros.until(lambda: silent() > first, "a longer silence")
+    peer.state_publisher.publish(stamped(5.0))
+    ros.until(lambda: not silent(), "states again")
     node.stop()
 
 
