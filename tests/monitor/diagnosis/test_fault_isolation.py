@@ -261,12 +261,12 @@ def test_wrong_mass_is_a_gravity_load_on_its_link() -> None:
 
 @pytest.mark.parametrize("angle", [0.1, 0.3, -1.2], ids="{} rad".format)
 def test_a_base_at_an_angle_has_another_direction_of_gravity(angle: float) -> None:
-    """The axes of lift and elbow see gravity along z and x: the finding says what the robot file should."""
+    """The axes of lift and elbow see gravity along z and x: the finding has the vector in the frame of the base."""
     turned = -9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle)
     finding = of_lift(robot=lift(gravity=turned))
     assert (finding.kind, finding.side, finding.unit) == ("direction of gravity", "base", "rad")
     assert finding.size == pytest.approx(abs(angle), rel=0.02)
-    said = finding.sentence.partition("robot.gravity [")[2].partition("]")[0]
+    said = finding.sentence.partition("(gravity [")[2].partition("]")[0]
     assert np.array(said.split(", "), dtype=float) == pytest.approx(turned, abs=0.05)
 
 

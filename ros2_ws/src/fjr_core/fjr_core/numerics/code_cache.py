@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cache compiled code on disk in a folder that only this user can write; verify each file before it is loaded.
 
-A shared object runs with the rights of the user who loads it. Code is therefore loaded only from a PrivateFolder, and
+A shared object runs with the rights of the user who loads it. Code is therefore loaded only from a private folder, and
 only if its SHA-256 digest equals the digest stored at compilation. No other user can change a file between this check
 and the loading.
 """

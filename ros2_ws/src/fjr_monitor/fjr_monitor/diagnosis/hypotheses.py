@@ -226,7 +226,7 @@ def _of_base(seen: Residuals) -> Iterator[Hypothesis]:
         return float(np.arccos(np.clip(modelled @ (modelled + fitted) / (size * turned), -1, 1)))
 
     def detail(fitted: Array) -> str:
-        return f" (robot.gravity {np.round(modelled + fitted, 3).tolist()})"
+        return f" (gravity {(np.round(modelled + fitted, 3) + 0.0).tolist()} m/s^2)"  # no negative zero
 
     yield Hypothesis("direction of gravity", None, BASE, "rad", columns, angle, detail=detail)
 
