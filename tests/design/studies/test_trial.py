@@ -155,7 +155,7 @@ def test_motion_demand_of_a_pendulum() -> None:
     t = np.linspace(0.0, 1.0, 1001)[:-1]
     q, dq, ddq = a * np.sin(w * t), a * w * np.cos(w * t), -a * w**2 * np.sin(w * t)
     torque = 0.031 * ddq + 0.2 * dq + 0.8 * np.sin(q)
-    assert found.motion == pytest.approx(a / np.sqrt(2), rel=1e-3)
+    assert found.motion == pytest.approx([a / np.sqrt(2)], rel=1e-3)
     assert found.torque == pytest.approx([np.sqrt(np.mean(torque**2))], rel=1e-3)
     assert found.friction_rate == pytest.approx(found.torque[0] / 0.004, rel=1e-9)
 
@@ -163,6 +163,28 @@ def test_motion_demand_of_a_pendulum() -> None:
 def test_constant_reference_is_refused() -> None:
     with pytest.raises(ParameterError, match="is at rest"):
         motion_demand(fjr.single_link(stiffness=31.0), fjr.Sine(amplitude=0.0, frequency=1.0, offset=0.3))
+
+
+def test_the_error_of_a_slide_counts_by_its_own_motion() -> None:
+    """An error of 3 mm is large for a motion of 10 mm, but would be small beside the one radian of the other joint."""
+    robot = replace(fjr.planar_two_link(), prismatic=(True, False))
+    reference = fjr.Sine(amplitude=[0.01, 1.0], frequency=0.5)
+    beta, M_l = 20.0, robot.M_l([0.0, 0.0])
+    law = fjr.TrackingLaw(robot, fjr.Gains(beta, beta**2 * M_l, beta * M_l, beta, robot.K, beta * robot.M_m))
+    loop = ClosedLoop(robot, law, reference, robot.state(*np.zeros((4, 2))), 3.0, T, settle_after=1.0)
+    demand = motion_demand(robot, reference)
+    assert demand.motion == pytest.approx(np.array([0.01, 1.0]) / np.sqrt(2), rel=2e-3)
+    one = Trial(loop, demand)
+    run = {"load": 0.5}
+    error, found = one.loop.run(one.draws([run])).rms[0], one.metrics([run])[0]
+    assert found["relative"] == pytest.approx(
+        np.sqrt(((error[0] * np.sqrt(2) / 0.01) ** 2 + 2 * error[1] ** 2) / 2), rel=2e-3
+    )
+    assert not found["tracks"]
+    with pytest.raises(
+        ParameterError, match=r"the reference of the joints in m is at rest for 60 s; expected a motion"
+    ):
+        motion_demand(robot, fjr.Sine(amplitude=[0.0, 1.0], frequency=0.5))
 
 
 def test_commands_are_saturated_at_the_limit() -> None:

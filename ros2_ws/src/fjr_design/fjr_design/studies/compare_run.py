@@ -173,7 +173,8 @@ def work(job: Job, number: int = 0) -> Values:
             "prismatic": [unit.position == "m" for unit in first.robot.units],
             "sample_period_s": first.sample_period,
             "references": {
-                label: {"motion_rad": each.motion, "torque_nm": each.torque.tolist()} for label, each in demands.items()
+                label: {"motion_rad": each.motion.tolist(), "torque_nm": each.torque.tolist()}
+                for label, each in demands.items()
             },
         },
         "gains": dict(chosen.gains),
@@ -271,7 +272,7 @@ def _study(job: Job, first: Scenario, demand: MotionDemand, effort_limit: Array)
     vary = varied(wanted["vary"])
     vary |= {name: Distribution(FIXED, tuple(np.atleast_1d(value).tolist())) for name, value in fixed.items()}
     numbers, size = ({name: wanted[name] for name in names} for names in (suite.NUMBERS, SIZE))
-    sweep = Sweep("tuned", text, 1, vary, success={"rms": job.suite.tracks * demand.motion}, **numbers)
+    sweep = Sweep("tuned", text, 1, vary, success={"rms": (job.suite.tracks * demand.motion).tolist()}, **numbers)
     return TuningStudy(sweep, Goal(**{name: wanted[name] for name in GOAL}), **size)
 
 

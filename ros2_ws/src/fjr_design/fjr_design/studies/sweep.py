@@ -97,8 +97,8 @@ class Sweep(Study):
 
     vary: distributions or fixed values by field of Draws. posterior: plain values of an identification from which the
     plants are drawn in addition. seed: of all random numbers. settle_after [s], band, lost [rad], one number or one for
-    each joint: see ClosedLoop. success: largest value of an outcome, at every joint, of a successful stable run.
-    Raises ParameterError.
+    each joint: see ClosedLoop. success: largest value of an outcome, one number or one for each joint, of a successful
+    stable run. Raises ParameterError.
     """
 
     name: str
@@ -110,7 +110,7 @@ class Sweep(Study):
     settle_after: float = 1.0
     band: float | Sequence[float] | None = None
     lost: float | Sequence[float] | None = None
-    success: Mapping[str, float] = field(default_factory=dict)
+    success: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
     posterior: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:

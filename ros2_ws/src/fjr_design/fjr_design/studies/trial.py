@@ -47,13 +47,13 @@ ROUNDS = 2  # of refinement
 class MotionDemand:
     """Demand of a motion.
 
-    motion [rad]: RMS of q_ld about its mean, over time and joints. torque (n,) [N m]: RMS over time of the inverse
-    dynamics of the rigid arm, M_l ddq_ld + C dq_ld + D_l dq_ld + grad P_l. friction_rate [rad/s^2]: largest
-    imperfections.friction_rate with friction of that torque on both sides, times its smoothing. deflection (n,) [rad]:
-    of the springs of the model under that torque.
+    motion (n,) [rad]: RMS of q_ld about its mean, over time and the joints of the same unit. torque (n,) [N m]: RMS
+    over time of the inverse dynamics of the rigid arm, M_l ddq_ld + C dq_ld + D_l dq_ld + grad P_l. friction_rate
+    [rad/s^2]: largest imperfections.friction_rate with friction of that torque on both sides, times its smoothing.
+    deflection (n,) [rad]: of the springs of the model under that torque.
     """
 
-    motion: float
+    motion: Array
     torque: Array
     friction_rate: float
     deflection: Array
@@ -64,9 +64,11 @@ def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
     end = min(HORIZON, reference.end)
     jets = reference.jets(np.linspace(0.0, end, INSTANTS))
     position = jets[:, 0]
-    motion = float(np.sqrt(np.mean((position - position.mean(axis=0)) ** 2)))
-    if not motion > STANDING:
-        raise ParameterError(f"the reference is at rest for {end:g} s; expected a motion")
+    square, units = np.var(position, axis=0), np.array([unit.position for unit in robot.units])
+    motion = np.sqrt([np.mean(square[units == unit]) for unit in units])
+    if not np.all(motion > STANDING):
+        what = f"joints in {units[motion <= STANDING][0]}"
+        raise ParameterError(f"the reference of the {what} is at rest for {end:g} s; expected a motion")
     tau, *_ = inverse_dynamics(robot)(*jets.transpose(1, 2, 0))
     torque = np.sqrt(np.mean(tau.full() ** 2, axis=1))
     friction = Imperfections(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
@@ -226,10 +228,11 @@ def margin(direction: Direction, track: Callable[[Sequence[float]], NDArray[np.b
 Metrics = dict[str, Any]
 """Metrics of one run over all joints, by name; errors count after settle_after, see Outcomes.
 
-rms [rad]: RMS over time and joints of q_l - q_ld; relative: rms divided by the RMS of the motion. peak [rad]: of the
-worst joint. settling [s]. effort_rms [N m]: over time and joints; effort_peak [N m]: of any joint. power [W]: mean of
-|u' B_m' dq_m|. steady [rad]: mean error of the worst joint over the last second. All are None for a run that is not
-stable. stopped: the limit that stopped the controller, None if none did; such a run does not track.
+rms [rad]: RMS over time and joints of q_l - q_ld; relative: the same, every joint divided by the motion of its
+MotionDemand. peak [rad]: of the worst joint. settling [s]. effort_rms [N m]: over time and joints; effort_peak [N m]:
+of any joint. power [W]: mean of |u' B_m' dq_m|. steady [rad]: mean error of the worst joint over the last second. All
+are None for a run that is not stable. stopped: the limit that stopped the controller, None if none did; such a run does
+not track.
 """
 
 
@@ -238,7 +241,7 @@ class Trial:
     """Closed loop with the demand of its motion.
 
     effort_limit (n,) [N m]: saturation of commands; inf: none. tracks: a run tracks if it is stable and its RMS error
-    is at most this fraction of the RMS motion; the same for all laws. All runs have the same noise.
+    relative to the motion is at most this number; the same for all laws. All runs have the same noise.
     evaluated: (imperfection, level) of all runs so far -> metrics.
     """
 
@@ -252,7 +255,8 @@ class Trial:
         """Return the metrics of one run per item: levels by the names of IMPERFECTIONS, {} for the nominal plant."""
         outcomes = self.loop.run(self.draws(runs))
         of = figures(outcomes, outcomes.stable)
-        relative, running = of["rms"] / self.demand.motion, outcomes.stable & (outcomes.cause == "")
+        relative = np.sqrt(np.mean(np.square(outcomes.rms / self.demand.motion), axis=1))
+        running = outcomes.stable & (outcomes.cause == "")
         values = {"rms": of["rms"], "relative": relative, "peak": of["peak"], "settling": outcomes.settling}
         values |= {name: of[name] for name in ("effort_rms", "effort_peak", "power")} | {"steady": of["final"]}
         return [
