@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
@@ -241,6 +243,16 @@ def test_interrupted_advance_fails_with_a_sentence(ros: Ros, peer: Peer, case: s
     peer.command_publisher.publish(answer(peer.states[-1], 0.1))
     ros.settle()
     assert node._robot.time == {"reset": 0, "pause": 2 * PERIOD, "go": 3 * PERIOD}[case]
+
+
+@pytest.mark.parametrize("what", ["reset", "pause"])
+def test_an_advance_is_interrupted_on_the_thread_that_counts_its_samples(ros: Ros, what: str) -> None:
+    """Else that thread may overwrite the end with the samples that were left, and the robot moves on after a reset."""
+    base = ros.plant(lockstep=True, start_paused=True)._time_base
+    replied: list[int] = []
+    base.advance(5, lambda *_: replied.append(threading.get_ident()))
+    base.reset() if what == "reset" else base.pause(True)
+    assert replied == [base.host.run(threading.get_ident)] != [threading.get_ident()]
 
 
 def test_advance_fails_with_a_sentence_when_the_node_ends(ros: Ros, peer: Peer) -> None:

@@ -188,10 +188,10 @@ class TimeBase(ABC):
 
     def reset(self) -> None:
         """Return to the initial state and discard all messages in transit."""
-        self.end_advance(False, "reset")
         self.host.run(self._reset)
 
     def _reset(self) -> None:
+        self.end_advance(False, "reset")
         self._robot.reset()
         self.plant.last_command, self.plant.acts_at = 0, NO_TIME
         self._transport.reset()
