@@ -160,3 +160,5 @@ void fjr_refuse(struct fjr_refusals* r, int kind, const uint8_t* data, size_t si
   }
   __atomic_store_n(&r->count[kind], count + 1, __ATOMIC_RELEASE);
 }
+
+int64_t fjr_refused(const struct fjr_refusals* r, int kind) { return __atomic_load_n(&r->count[kind], __ATOMIC_ACQUIRE); }

@@ -54,6 +54,9 @@ int fjr_read_array(double* values, int32_t n, const uint8_t* data, size_t size);
 /* Count a refused message; keep the first of its kind. */
 void fjr_refuse(struct fjr_refusals* refusals, int kind, const uint8_t* data, size_t size);
 
+/* Return how many messages of a kind were refused; if any, the first of them can be read. For every thread. */
+int64_t fjr_refused(const struct fjr_refusals* refusals, int kind);
+
 /* Write the stamp [ns] into the header of a message. */
 void fjr_put_stamp(struct fjr_message* message, int64_t stamp);
 

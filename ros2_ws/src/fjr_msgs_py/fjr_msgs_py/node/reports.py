@@ -115,14 +115,14 @@ class Refusals:
         self, program: Program, what: str, read: Callable[[bytes], object], tell: Callable[[str, str, str], None]
     ) -> None:
         """what: messages; read: reads one and raises MessageError; tell: reports level, kind and sentence."""
-        self._ffi, self._what, self._read, self._tell = program.ffi, what, read, tell
+        self._ffi, self._lib, self._what, self._read, self._tell = program.ffi, program.lib, what, read, tell
         self._kinds = [""] * len(program.ffi.new("struct fjr_refusals*").count)
         self._first = program.ffi.new("uint8_t[]", len(self._kinds) * LARGEST)
         self.pointer = program.ffi.new("struct fjr_refusals*", {"room": LARGEST, "first": self._first})
 
     def report(self) -> Counter[str]:
         """Report the kinds that are new; return the numbers by the kind of the first message of each."""
-        count, numbers = list(self.pointer.count), Counter[str]()
+        count, numbers = [self._lib.fjr_refused(self.pointer, k) for k in range(len(self._kinds))], Counter[str]()
         for k in range(len(count)):
             if count[k] and not self._kinds[k]:
                 error = reason_of(bytes(self._ffi.buffer(self._first + k * LARGEST, self.pointer.size[k])), self._read)
@@ -177,6 +177,7 @@ class Health:
     def say(self, level: str, kind: str, sentence: str) -> None:
         """Log a sentence at a level the first time that this kind occurs."""
         if kind not in self._logged:
+            self._logged.add(kind)  # first: another thread may say the same while this one logs
             log = self._node.get_logger()  # which lets no line of code have two levels
             if level == "error":
                 log.error(sentence)
@@ -184,7 +185,6 @@ class Health:
                 log.warning(sentence)
             else:
                 log.info(sentence)
-        self._logged.add(kind)
 
     def value(self, key: str, text: str) -> None:
         """Report a value in addition to the counters, from the next report on."""
@@ -214,7 +214,7 @@ class Health:
 
     def publish(self, wrong: str = "") -> None:
         """Publish the counters; wrong: what is wrong at present, which makes the status ERROR."""
-        count = self.count
+        count = dict(self.count)  # a copy: a plant in lock-step may count on its own thread meanwhile
         unwanted = [key for key, value in count.items() if value and key not in self._expected]
         level = DiagnosticStatus.WARN if unwanted else DiagnosticStatus.OK
         status = DiagnosticStatus(
