@@ -239,10 +239,9 @@ int fjr_controller_request(void* self, int32_t kind, void* argument) {
   return outcome == FJR_GO_ON ? hand_over(l, 0) : outcome;
 }
 
-/* After a failure the robot must not keep the last effort. */
+/* After a failure the robot must not keep the last effort. Python may read the copy now; its next request renews it. */
 void fjr_controller_end(void* self, int32_t outcome) {
   struct fjr_controller_loop* l = self;
   if (outcome == FJR_FAILED) (void)send_stop(l);
   (void)hand_over(l, 0);
-  *l->copy = *l->controller;
 }
