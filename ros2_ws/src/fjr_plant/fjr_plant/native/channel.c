@@ -9,7 +9,7 @@ static void transmit(struct fjr_channel* c, int64_t time, double share, const do
   if (c->in_order && due < c->latest) due = c->latest;
   if (due > c->latest) c->latest = due;
   if (c->count == c->capacity) {
-    ++c->overflows;
+    __atomic_store_n(&c->overflows, c->overflows + 1, __ATOMIC_RELAXED); /* Python reads it at any time */
     return;
   }
   int32_t k = c->count++;

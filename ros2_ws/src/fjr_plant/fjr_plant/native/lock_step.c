@@ -11,7 +11,7 @@
 /* Send the time, after the state of that time, so that subscribers receive the state first. After FJR_MANY times wait
  * until they have received all: a recorder that has no core for a while must not miss any. */
 static int show_time(struct fjr_plant* p) {
-  p->shown = stamp_of(p);
+  show(p, stamp_of(p));
   fjr_put_stamp(p->clock, p->shown);
   if (send_message(p, FJR_CLOCK, p->clock)) return p->fault;
   if (++p->times_shown % FJR_MANY == 0 && p->settle)
@@ -56,7 +56,7 @@ static int send_first(struct fjr_plant* p, int64_t now) {
 
 /* Send the state again as it left; p->sample still holds it. */
 static int send_again(struct fjr_plant* p, int64_t now) {
-  ++p->count[FJR_SENT_AGAIN];
+  count(p, FJR_SENT_AGAIN, 1);
   p->sent_at = now;
   if (send_message(p, FJR_STATE, message_of(p, p->sample))) return p->fault;
   return show_time(p);
@@ -81,7 +81,7 @@ int fjr_lock_step_command(void* self, int32_t source, const uint8_t* data, size_
   const int reading = fjr_read_joint_state(p->answer, data, size);
   if (reading != FJR_READ) return refuse(p, reading, data, size);
   if (p->answer->stamp != p->awaited || !is_running(p)) {
-    ++p->count[FJR_OTHER_ANSWER];
+    count(p, FJR_OTHER_ANSWER, 1);
     p->other = p->answer->stamp;
     return 0;
   }
@@ -89,7 +89,7 @@ int fjr_lock_step_command(void* self, int32_t source, const uint8_t* data, size_
   if (first && tell(p, FJR_FIRST_ANSWER, 0)) return failed(p, FJR_REFUSED);
   take_effort(p, p->robot->time, p->answer->value[2]);
   p->awaited = FJR_NO_TIME, p->heard = 1;
-  ++p->count[FJR_RECEIVED];
+  count(p, FJR_RECEIVED, 1);
   if (first) tell(p, FJR_MOVING, 0);
   return go_on(p, now);
 }

@@ -102,7 +102,7 @@ static int catch_up(struct fjr_plant* p, int64_t now) {
 /* States out. */
 
 static int send_state(struct fjr_plant* p, const double* sample) {
-  if (!p->answered) ++p->count[FJR_NO_ANSWER];
+  if (!p->answered) count(p, FJR_NO_ANSWER, 1);
   p->answered = p->waiting;
   if (send_sample(p, sample)) return p->fault;
   passed(p, sample_stamp(sample));
@@ -132,7 +132,7 @@ static int late_sample(struct fjr_plant* p, int64_t now) {
 }
 
 static int tick(struct fjr_plant* p, int64_t now, int64_t due) {
-  p->count[FJR_SKIPPED] += larger(0, due - p->ticks - 1);
+  count(p, FJR_SKIPPED, larger(0, due - p->ticks - 1));
   p->ticks = larger(due, p->ticks);
   const int64_t late = p->times->jitter > 0.0 ? fjr_sample_times_next(p->times) % p->times->period : 0;
   if (!late) return late_sample(p, now);
@@ -174,7 +174,7 @@ int fjr_real_time_command(void* self, int32_t source, const uint8_t* data, size_
   (void)source, (void)next;
   const int reading = fjr_read_array(p->effort, p->robot->n, data, size);
   if (reading != FJR_READ) return refuse(p, reading, data, size);
-  ++p->count[FJR_RECEIVED];
+  count(p, FJR_RECEIVED, 1);
   const int64_t now = read_clock(p, time);
   if (!is_active(p, now)) return p->fault;
   p->answered = 1;

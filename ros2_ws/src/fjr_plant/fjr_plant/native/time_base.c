@@ -26,9 +26,17 @@ static int tell(struct fjr_plant* p, int32_t event, int64_t value) {
   return 0;
 }
 
+/* Python reads counters, and the stamp that was shown last, while the thread of a host writes them. */
+static void count(struct fjr_plant* p, int32_t counter, int64_t more) {
+  __atomic_store_n(&p->count[counter], p->count[counter] + more, __ATOMIC_RELAXED);
+}
+
+static void show(struct fjr_plant* p, int64_t stamp) { __atomic_store_n(&p->shown, stamp, __ATOMIC_RELAXED); }
+
 /* Count an unwanted event, and notify Python of the first one. */
 static void unwanted(struct fjr_plant* p, int32_t counter) {
-  if (++p->count[counter] == 1) tell(p, FJR_COUNTED, counter);
+  count(p, counter, 1);
+  if (p->count[counter] == 1) tell(p, FJR_COUNTED, counter);
 }
 
 static int refuse(struct fjr_plant* p, int reading, const uint8_t* data, size_t size) {
@@ -43,7 +51,7 @@ static int is_running(const struct fjr_plant* p) { return !p->paused || p->left 
 /* Report once per second of stamps. */
 static void passed(struct fjr_plant* p, int64_t stamp) {
   const int64_t since = stamp - p->reported;
-  p->shown = stamp;
+  show(p, stamp);
   if (p->by_stamps && (since < 0 || since >= PERIOD_OF_REPORTS)) {
     p->reported = stamp;
     tell(p, FJR_SECOND, stamp);
@@ -146,6 +154,6 @@ static int send_sample(struct fjr_plant* p, const double* sample) {
   fjr_put_stamp(message, sample_stamp(sample));
   for (int32_t field = 0; field < FJR_FIELDS; ++field)
     if (message->length[field]) fjr_put_numbers(message, field, sample + SAMPLE_VALUES + 2 * n * field);
-  ++p->count[FJR_PUBLISHED];
+  count(p, FJR_PUBLISHED, 1);
   return send_message(p, FJR_STATE, message);
 }
