@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import ParameterError
-from ..model.planar_arms import PLANAR_TWO_LINK, SINGLE_LINK
+from ..model.planar_arms import PLANAR_TWO_LINK, SINGLE_LINK, URDF_ARM
 from ..numerics.checks import Array, joint_names
 from ..numerics.parameter_field import declared
 from ..simulation.imperfections import StatedErrors
@@ -29,8 +29,7 @@ MODELS: dict[str, dict[str, Any]] = {
     "single_link": SINGLE_LINK,
     "planar_two_link": PLANAR_TWO_LINK,
     "urdf": dict.fromkeys(("urdf", "joints", "stiffness", "motor_inertia"), REQUIRED)
-    | {"gear_ratio": 1.0, "link_damping": 0.0, "motor_damping": 0.0, "input_gain": 1.0}
-    | {"gravity_vector": (0.0, 0.0, -9.81), "locked_joints": ("",), "locked_positions": (0.0,)},
+    | {**URDF_ARM, "locked_joints": ("",), "locked_positions": (0.0,)},
 }
 """Arguments of the function that builds each model, with their defaults."""
 _SIZES = {"single_link": 1, "planar_two_link": 2}  # other models: as many joints as `joints` lists
@@ -46,10 +45,7 @@ def _argument(name: str, unit: str, description: str, shape: str = VECTOR, const
 
 _ARGUMENTS = {  # argument of a model -> parameter
     "link_inertia": _argument(
-        "link_inertia",
-        "kg m^2",
-        "Link inertia (single_link: about the joint; else about the centre of mass)",
-        constraint="positive",
+        "link_inertia", "kg m^2", "Link inertia about the centre of mass; single_link: the joint", constraint="positive"
     ),
     "gravity_torque": _argument(
         "gravity_torque", "N m", "Mass times gravity times distance of the link's centre of mass", constraint="finite"
@@ -64,11 +60,7 @@ _ARGUMENTS = {  # argument of a model -> parameter
     "joints": JOINTS,
     "stiffness": _argument("joint_stiffness", "N m/rad", "Joint stiffness K", MATRIX, _DEFINITE),
     "motor_inertia": _argument(
-        "motor_inertia",
-        "kg m^2",
-        "Motor inertia, reflected to the link side; with gear_ratio: of the rotor itself",
-        MATRIX,
-        _DEFINITE,
+        "motor_inertia", "kg m^2", "Motor inertia at the link side; with gear_ratio: of the rotor", MATRIX, _DEFINITE
     ),
     "gear_ratio": _argument(
         "gear_ratio", "1", "Motor turns per link turn; 1: motor_inertia is reflected already", constraint="not 0"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arms of `closed_form_arms` without CasADi: the values of their parameters, and URDFs that show them."""
+"""Values of the parameters of all robot models, without CasADi, and URDFs that show `closed_form_arms`."""
 
 from __future__ import annotations
 
@@ -35,6 +35,9 @@ PLANAR_TWO_LINK: dict[str, Any] = {
     "input_gain": 1.0,
 }
 """An arm of our own choice."""
+URDF_ARM: dict[str, Any] = {"gear_ratio": 1.0, "link_damping": 0.0, "motor_damping": 0.0, "input_gain": 1.0}
+URDF_ARM |= {"gravity_vector": (0.0, 0.0, -9.81)}  # m/s^2, in the root link
+"""What is taken of an arm of a URDF where nothing else is given; its motor inertia is reflected already."""
 STANDARD_GRAVITY = 9.81
 """Gravity [m/s^2] on the payload of a model without a parameter for it."""
 SMALLEST_LOAD = 1e-9

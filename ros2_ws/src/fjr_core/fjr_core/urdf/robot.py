@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from ..errors import RobotError
 from ..model.joints import JointLimits
 from ..model.newton_euler import serial_chain
+from ..model.planar_arms import URDF_ARM
 from ..model.rigid_arm import ArmDynamics, Body
 from ..model.robot import Robot
 from ..numerics import checks
@@ -45,13 +46,13 @@ def robot_from_urdf(
     joints: Sequence[str],
     stiffness: ArrayLike,
     motor_inertia: ArrayLike,
-    link_damping: ArrayLike = 0.0,
-    motor_damping: ArrayLike = 0.0,
-    gravity: ArrayLike = (0.0, 0.0, -9.81),
+    link_damping: ArrayLike = URDF_ARM["link_damping"],
+    motor_damping: ArrayLike = URDF_ARM["motor_damping"],
+    gravity: ArrayLike = URDF_ARM["gravity_vector"],
     *,
-    gear_ratio: ArrayLike | None = None,
+    gear_ratio: ArrayLike = URDF_ARM["gear_ratio"],
     locked: Mapping[str, float] | None = None,
-    input_gain: ArrayLike = 1.0,
+    input_gain: ArrayLike = URDF_ARM["input_gain"],
 ) -> Robot:
     """Return the robot of the n named joints, in this order; every other joint of the URDF is locked.
 
@@ -75,11 +76,10 @@ def robot_from_urdf(
     values = (stiffness, motor_inertia, link_damping, motor_damping, input_gain)
     matrices = zip(names, values, strict=True)
     K, M_m, D_l, D_m, B_m = (checks.matrix(name, value, len(chain), RobotError) for name, value in matrices)
-    if gear_ratio is not None:
-        ratio = checks.vector("gear_ratio", gear_ratio, len(chain), RobotError)
-        if not np.all(ratio != 0):
-            raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
-        M_m = np.diag(ratio) @ M_m @ np.diag(ratio)
+    ratio = checks.vector("gear_ratio", gear_ratio, len(chain), RobotError)
+    if not np.all(ratio != 0):
+        raise RobotError(f"gear_ratio is {ratio.tolist()}; expected numbers other than 0")
+    M_m = np.diag(ratio) @ M_m @ np.diag(ratio)
     limits = JointLimits(*np.array([joint.limits for joint in named]).T)
     prismatic = tuple(joint.kind == "prismatic" for joint in named)
     return Robot(links, M_m, K, D_l, D_m, B_m, limits, prismatic)
@@ -155,17 +155,15 @@ def reduced_bodies(tree: UrdfTree, joints: Sequence[str], locked: Mapping[str, f
     A body consists of the links between its joint and the next named ones. locked: positions [rad, m] of the other
     moving joints.
     """
-    carriers = {joint.child: joint for joint in tree.joints.values()}
     poses = {name: joint.pose(locked.get(name, 0.0)) for name, joint in tree.joints.items()}
 
     def carried(link: str) -> tuple[str, Array]:
         """Return the named joint that carries a link, or BASE, and the pose (4, 4) of the link in its frame."""
         pose = np.eye(4)
-        while link in carriers:
-            joint = carriers[link]
+        for joint in tree.above(link):
             if joint.name in joints:
                 return joint.name, pose
-            pose, link = poses[joint.name] @ pose, joint.parent
+            pose = poses[joint.name] @ pose
         return BASE, pose
 
     parts: dict[str, list[LinkInertia]] = {name: [] for name in (BASE, *joints)}

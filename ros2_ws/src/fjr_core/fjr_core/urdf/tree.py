@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from graphlib import CycleError, TopologicalSorter
@@ -108,6 +108,13 @@ class UrdfTree:
                 raise RobotError(f"joint '{joint.name}' mimics the named joint '{leader}'; expected independence")
             joint = self.joint(leader)
         raise RobotError(f"joint '{joint.name}' mimics itself; expected another joint")
+
+    def above(self, link: str) -> Iterator[UrdfJoint]:
+        """Yield the joints from a link up to the root."""
+        carriers = {joint.child: joint for joint in self.joints.values()}
+        while link in carriers:
+            yield carriers[link]
+            link = carriers[link].parent
 
     def moved_by(self, names: Iterable[str]) -> set[str]:
         """Return the links that these joints move."""

@@ -18,6 +18,7 @@ from ament_index_python.packages import get_package_share_directory
 
 from fjr_core.errors import RobotError
 from fjr_core.files.text_file import read_bytes
+from fjr_core.model.planar_arms import URDF_ARM
 from fjr_core.model.robot import Robot
 from fjr_core.urdf.robot import MasslessJointError, robot_from_urdf
 from fjr_core.urdf.tree import MOVING, UrdfTree, read_urdf
@@ -55,7 +56,7 @@ class Arm:
     source: str
     chains: tuple[Chain, ...]
     notes: tuple[str, ...]
-    gravity: tuple[float, ...] = (0.0, 0.0, -9.81)
+    gravity: tuple[float, ...] = URDF_ARM["gravity_vector"]
 
 
 def arm_of(
@@ -174,17 +175,9 @@ def chains(tree: UrdfTree) -> list[Chain]:
 
 def _paths(tree: UrdfTree) -> Iterator[list[str]]:
     """Yield the joints that move by themselves on the way to each link without children."""
-    carriers = {joint.child: joint for joint in tree.joints.values()}
     parents = {joint.parent for joint in tree.joints.values()}
-    for tip in carriers:
-        if tip in parents:
-            continue
-        path, link = [], tip
-        while link in carriers:
-            joint = carriers[link]
-            if joint.kind in MOVING and joint.mimics is None:
-                path.append(joint.name)
-            link = joint.parent
+    for tip in [joint.child for joint in tree.joints.values() if joint.child not in parents]:
+        path = [joint.name for joint in tree.above(tip) if joint.kind in MOVING and joint.mimics is None]
         if path:
             yield path[::-1]
 

@@ -142,12 +142,10 @@ def add_looks(
 
 def _placed(tree: UrdfTree, link: str, joints: Sequence[str], locked: Mapping[str, float]) -> tuple[str, Array]:
     """Return the joint that carries a link, "" for none, and the pose (4, 4) of the link in the base at q_l = 0."""
-    carriers = {joint.child: joint for joint in tree.joints.values()}
     owner, pose = "", np.eye(4)
-    while link in carriers:
-        joint = carriers[link]
+    for joint in tree.above(link):
         owner = owner or (joint.name if joint.name in joints else "")
-        pose, link = joint.pose(tree.position(joint, locked)) @ pose, joint.parent
+        pose = joint.pose(tree.position(joint, locked)) @ pose
     return owner, pose
 
 
