@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from fjr_core.errors import PIP, RobotError
 from fjr_design.scaffold.arm import Arm, arm_of
@@ -89,6 +91,11 @@ LIMITED: dict[str, tuple[str, list[float]]] = {
         '<motor joint="two" gear="2" ctrlrange="-2 2" forcerange="-1 1"/>',
         [100.0, 2.0],
     ),
+    "of two motors at one joint": (
+        '<motor joint="one" gear="2" ctrlrange="-2 2"/><general joint="one" gainprm="30" ctrlrange="-1 1"/>'
+        '<motor joint="two" ctrlrange="-3 3"/>',
+        [34.0, 3.0],
+    ),
     "of a motor that only pulls": ('<motor joint="one" gear="50" ctrlrange="0 2"/>', [100.0, np.inf]),
 }
 
@@ -103,12 +110,12 @@ def test_the_limit_of_an_effort_is_the_largest_that_mujoco_lets_act(
     assert limits.effort == pytest.approx(expected)
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
-    for k in range(model.nu):
-        efforts = []
-        for data.ctrl[k] in (-1e3, 1e3):
-            mujoco.mj_forward(model, data)
-            efforts.append(abs(float(data.qfrc_actuator[k])))
-        assert max(efforts) == pytest.approx(expected[k])
+    efforts = []
+    for data.ctrl[:] in (-1e3, 1e3):
+        mujoco.mj_forward(model, data)
+        efforts.append(np.abs(data.qfrc_actuator))
+    moved = np.isfinite(expected)
+    assert np.max(efforts, axis=0)[moved] == pytest.approx(np.array(expected)[moved])
 
 
 def test_damping_and_friction_of_a_joint_are_said_not_to_be_read(tmp_path: Path) -> None:
@@ -178,6 +185,39 @@ def test_what_acts_in_mujoco_beyond_the_rigid_arm_is_said_not_to_be_read(
     assert f"not read, though they act in MuJoCo: {says}" in arm_from(text, tmp_path).notes
 
 
+SITES = '<site name="tip" pos="0.1 0 0.3"/><site name="rail" pos="0.3 0 0" zaxis="1 0 0"/>'
+ELSEWHERE = {
+    "a thruster": '<motor site="tip" gear="1 0 0 0 0 0"/>',
+    "glue": '<adhesion body="b" ctrlrange="0 9" gain="9"/>',
+    "a crank": '<motor slidersite="rail" cranksite="tip" cranklength="1"/>',
+}
+
+
+@pytest.mark.parametrize("element", ELSEWHERE.values(), ids=ELSEWHERE)
+def test_an_actuator_that_acts_at_no_joint_is_said_not_to_be_read(element: str, tmp_path: Path) -> None:
+    text = body(TWO + SITES, actuator(element))
+    says = "not read, though they act in MuJoCo: actuators at sites, bodies or cranks"
+    assert says in arm_from(text, tmp_path).notes
+
+
+def test_the_paths_of_meshes_are_those_that_mujoco_loads(tmp_path: Path) -> None:
+    """Of an attached file the folder of meshes is its own; a mesh of vertices in the MJCF has no file to show."""
+    for folder in ("parts", "tools"):
+        (tmp_path / folder).mkdir()
+        trimesh.creation.box((0.1, 0.1, 0.2)).export(tmp_path / folder / f"{folder}.stl")
+    tool = body('<joint name="two"/><geom type="mesh" mesh="t"/>', '<asset><mesh name="t" file="tools.stl"/></asset>')
+    (tmp_path / "tool.xml").write_text(tool.replace("<mujoco>", '<mujoco model="tool"><compiler meshdir="tools"/>'))
+    assets = '<asset><mesh name="p" file="parts.stl"/><mesh name="v" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>'
+    shapes = '<joint name="zero"/><geom type="mesh" mesh="v"/><geom type="mesh" mesh="p"/>'
+    text = (
+        f'<mujoco><compiler meshdir="parts"/>{assets}<model name="tool" file="tool.xml"/></asset><worldbody>'
+        f'<body>{shapes}<frame><attach model="tool" body="a" prefix="x/"/></frame></body></worldbody></mujoco>'
+    )
+    (tmp_path / "lab.xml").write_text(text)
+    urdf, _ = read_mjcf(tmp_path / "lab.xml", tmp_path)
+    assert re.findall('filename="(.*?)"', urdf) == ["parts/parts.stl", "tools/tools.stl"]
+
+
 def test_an_armature_beside_that_of_a_rotor_is_said_not_to_be_read(tmp_path: Path) -> None:
     notes = arm_from(driven(SPRING).replace('name="two"', 'name="two" armature="0.3"', 1), tmp_path).notes
     assert "not read, though they act in MuJoCo: armature of two beside that of its rotor" in notes
@@ -210,11 +250,11 @@ REFUSED = {
     "a spring with a length": (driven(SPRING.replace('"0"', '"0.1"')), "'two_spring' is a tendon; expected joints"),
     "free joint": (
         '<mujoco><worldbody><body><freejoint name="float"/><geom size="1"/></body></worldbody></mujoco>',
-        "joint 'float' is free; expected hinges and slides on a fixed base",
+        "body 'body1' has a free joint; expected hinges and slides only",
     ),
     "ball joint": (
         body('<joint name="two" type="ball"/>'),
-        "joint 'two' is ball; expected hinges and slides on a fixed",
+        "body 'b' has a ball joint; expected hinges and slides only",
     ),
     "tendon": (body(TWO, TENDON), "'belt' is a tendon; expected joints without tendons, or the springs of our export"),
     "name of a spring, another length": (
@@ -224,6 +264,10 @@ REFUSED = {
     "closed chain": (
         body(TWO, '<equality><weld name="loop" body1="b"/></equality>'),
         r"equality constraint 'loop' couples bodies or joints \(a closed chain\); expected an arm whose joints move by",
+    ),
+    "closed chain without a name": (
+        body(TWO, '<equality><joint joint1="one" joint2="two"/></equality>'),
+        "equality constraint 'equality0' couples bodies or joints",
     ),
     "wrong path of a mesh": (
         body(TWO, '<asset><mesh name="m" file="none.stl"/></asset>'),
@@ -263,7 +307,7 @@ def test_a_tendon_without_force_and_a_constraint_that_is_off_do_not_matter(tmp_p
     [
         ("<mujoco", "does not parse as XML"),
         ("<sdf/>", "has the root element <sdf>; expected the <robot> of a URDF"),
-        (REFUSED["free joint"][0], "lab.xml: joint 'float' is free"),
+        (REFUSED["free joint"][0], "lab.xml: body 'body1' has a free joint"),
     ],
 )
 def test_the_command_refuses_another_file_without_writing(text: str, says: str, tmp_path: Path) -> None:

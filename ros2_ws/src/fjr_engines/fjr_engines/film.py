@@ -137,8 +137,7 @@ def save(frames: Frames, file: Path) -> None:
         if subprocess.run(command, input=frames.tobytes(), stdout=subprocess.DEVNULL, check=False).returncode:
             raise FilmError(f"ffmpeg did not write {file}; expected one that encodes MP4")
         return
-    palette = Image.fromarray(np.concatenate(frames[:, ::SPARSE, ::SPARSE])).quantize(
-        COLOURS, Image.Quantize.FASTOCTREE
-    )
+    sparse = Image.fromarray(np.concatenate(frames[:, ::SPARSE, ::SPARSE]))
+    palette = sparse.quantize(COLOURS, Image.Quantize.FASTOCTREE)
     first, *others = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     first.save(file, save_all=True, append_images=others, duration=round(1e3 * PERIOD), loop=0, optimize=True)

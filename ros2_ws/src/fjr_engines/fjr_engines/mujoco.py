@@ -49,9 +49,8 @@ class MujocoEngine:
         check_equations(plant, "mujoco")
         spec = specification(plant.robot, joints)
         spec.option.timestep, spec.option.disableflags = inner_step * 1e-9, DISABLED
-        spec.body(joints[chain(plant.robot)[-1][0]] + LINK).add_body(
-            name=PAYLOAD, mass=1.0, inertia=[1.0] * 3, explicitinertial=True
-        )
+        tip = spec.body(joints[chain(plant.robot)[-1][0]] + LINK)
+        tip.add_body(name=PAYLOAD, mass=1.0, inertia=[1.0] * 3, explicitinertial=True)
         if obstacle:
             add_contact(spec, plant.robot, joints, obstacle)
         self.model = spec.compile()
@@ -114,9 +113,8 @@ def mujoco_program() -> CLibrary:
     """Return the library of mujoco_steps.c, compiled and cached; raise CompilerError without a C compiler."""
     wheel, native = Path(mujoco.__file__).parent, files(__package__) / "native"
     robot = files("fjr_plant") / "native" / "robot.h"
-    *headers, source = (
-        path.read_text("utf-8") for path in (robot, native / "mujoco_steps.h", native / "mujoco_steps.c")
-    )
+    paths = robot, native / "mujoco_steps.h", native / "mujoco_steps.c"
+    *headers, source = (path.read_text("utf-8") for path in paths)
     options = [f"-I{wheel / 'include'}", f"-L{wheel}", f"-l:libmujoco.so.{mujoco.__version__}", f"-Wl,-rpath,{wheel}"]
     return c_library("fjr_mujoco", "\n".join(headers), source, options=options)
 

@@ -25,6 +25,7 @@ from fjr_design.scaffold.files import path_from
 from .writing import SPRING, pose_of, refusals
 
 AT_JOINTS = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+OF_MOTOR = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 JOINTS = {int(mujoco.mjtJoint.mjJNT_HINGE): "revolute", SLIDE: "prismatic"}
 Element = ElementTree.Element
@@ -49,7 +50,7 @@ def read_mjcf(file: Path, folder: Path) -> tuple[str, dict[str, Any]]:
     """
     with refusals("an MJCF that it loads"):
         spec = mujoco.MjSpec.from_file(str(file))
-        for kind, elements in (("body", spec.bodies), ("joint", spec.joints)):
+        for kind, elements in (("body", spec.bodies), ("joint", spec.joints), ("equality", spec.equalities)):
             for k, each in enumerate(elements):
                 each.name = each.name or f"{kind}{k}"
         model = spec.compile()
@@ -68,10 +69,13 @@ def read_mjcf(file: Path, folder: Path) -> tuple[str, dict[str, Any]]:
         "gravity": [0.0] * 3 if weightless else model.opt.gravity.tolist(),
     }
     unread = [what for what, names in UNREAD.items() if any(np.any(attrgetter(name)(model)) for name in names)]
+    elsewhere = ~np.isin(model.actuator_trntype, [*AT_JOINTS, int(mujoco.mjtTrn.mjTRN_TENDON)])
+    unread += ["actuators at sites, bodies or cranks"] if elsewhere.any() else []
     unread += ["plugins"] if np.any(np.append(model.body_plugin, model.actuator_plugin) >= 0) else []  # -1: none
     unread += [f"armature of {name} beside that of its rotor" for name in springs if model.joint(name).armature]
     known["notes"] = [f"not read, though they act in MuJoCo: {', '.join(unread)}"] if unread else []
-    meshes = [path_from(folder, Path(spec.modelfiledir, spec.meshdir, each.file)) for each in spec.meshes]
+    paths = [model.paths[start:].partition(b"\0")[0].decode() if start >= 0 else "" for start in model.mesh_pathadr]
+    meshes = [path_from(folder, Path(path)) if path else "" for path in paths]
     return urdf(model, drives, spec.modelname or file.stem, meshes), known
 
 
@@ -81,8 +85,8 @@ def springs_of(model: mujoco.MjModel) -> dict[str, float]:
     A spring is a fixed tendon `<joint>_spring` of the length q_m - q_l. A tendon that exerts no force may stay.
     """
     for joint in map(model.joint, np.flatnonzero(~np.isin(model.jnt_type, list(JOINTS)))):
-        what = "ball" if joint.type[0] == int(mujoco.mjtJoint.mjJNT_BALL) else "free"
-        raise RobotError(f"joint '{joint.name}' is {what}; expected hinges and slides on a fixed base")
+        body, ball = model.body(joint.bodyid[0]).name, joint.type[0] == int(mujoco.mjtJoint.mjJNT_BALL)
+        raise RobotError(f"body '{body}' has a {'ball' if ball else 'free'} joint; expected hinges and slides only")
     for constraint in map(model.eq, np.flatnonzero(model.eq_active0)):
         raise RobotError(
             f"equality constraint '{constraint.name}' couples bodies or joints (a closed chain); expected an arm whose "
@@ -109,15 +113,18 @@ def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
 
 
 def effort_limit(model: mujoco.MjModel, joint: str) -> float:
-    """Return the largest effort [N m] of the actuators of a joint in both directions, or in one; 0: no limit."""
-    given = model.joint(joint)
-    found = [-1.0, 1.0] * model.jnt_actfrcrange[given.id] if model.jnt_actfrclimited[given.id] else []
-    for actuator in _actuators(model, joint):
-        if actuator.forcelimited[0]:
-            found = [*found, *np.abs(actuator.gear[0] * actuator.forcerange)]
-        if actuator.ctrllimited[0] and actuator.biastype[0] == int(mujoco.mjtBias.mjBIAS_NONE):
-            found = [*found, *np.abs(actuator.gear[0] * actuator.gainprm[0] * actuator.ctrlrange)]
-    return float(min(filter(None, found), default=0.0))
+    """Return the largest effort [N m] of all actuators of a joint in both directions, or in one; 0: no limit."""
+    given, together = model.joint(joint), sum(map(_largest_effort, _actuators(model, joint)))
+    ends = [-1.0, 1.0] * model.jnt_actfrcrange[given.id] if model.jnt_actfrclimited[given.id] else []
+    return float(min(filter(None, [together, *ends]), default=0.0))
+
+
+def _largest_effort(actuator: Any) -> float:
+    """Return the largest effort [N m] of an actuator in both directions, or in one; 0: no limit."""
+    found = [*actuator.forcerange] if actuator.forcelimited[0] else []
+    if actuator.ctrllimited[0] and (actuator.gaintype[0], actuator.biastype[0]) == OF_MOTOR:
+        found += [*(actuator.gainprm[0] * actuator.ctrlrange)]
+    return float(abs(actuator.gear[0]) * min(filter(None, np.abs(found)), default=0.0))
 
 
 def _motor_inertia(model: mujoco.MjModel, joint: str) -> float:
@@ -135,7 +142,7 @@ def _actuators(model: mujoco.MjModel, joint: str) -> list[Any]:
 def urdf(model: mujoco.MjModel, drives: Mapping[str, str], name: str, meshes: Sequence[str]) -> str:
     """Return the text of a URDF. The frame of a link is at the anchor of its joint, and is turned as the body.
 
-    drives: for each joint of a link, that at which its motor acts. meshes: the path of each mesh.
+    drives: for each joint of a link, that at which its motor acts. meshes: the path of each mesh, "" without a file.
     """
     data, robot = mujoco.MjData(model), ElementTree.Element("robot", name=name)
     data.qpos[:] = 0.0
@@ -204,7 +211,7 @@ def _add_visual(link: Element, model: mujoco.MjModel, geom: Any, pose: Array, me
         shape = "sphere", {"radius": _text(size[0])}
     elif kind in ("CYLINDER", "CAPSULE"):
         shape = "cylinder", {"radius": _text(size[0]), "length": _text(2 * size[1])}
-    elif kind == "MESH":  # the compiler moved its vertices
+    elif kind == "MESH" and meshes[mesh]:  # the compiler moved its vertices
         shape = "mesh", {"filename": meshes[mesh], "scale": _text(model.mesh_scale[mesh])}
         turn = np.empty(9)
         mujoco.mju_quat2Mat(turn, model.mesh_quat[mesh])

@@ -39,9 +39,8 @@ def specification(robot: Robot, joints: Sequence[str]) -> mujoco.MjSpec:
     spec.compiler.autolimits = True
     parent = spec.worldbody
     for k, body in bodies:
-        parent = parent.add_body(
-            name=joints[k] + LINK, pos=np.asarray(body.translation), quat=quaternion(np.asarray(body.rotation))
-        )
+        place = {"pos": np.asarray(body.translation), "quat": quaternion(np.asarray(body.rotation))}
+        parent = parent.add_body(name=joints[k] + LINK, **place)
         _add_inertia(parent, body)
         _add_joint(parent, joints[k], body.prismatic, damping=robot.D_l[k, k])
     for k, body in sorted(bodies):
