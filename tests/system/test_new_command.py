@@ -122,6 +122,13 @@ def test_friction_and_gear_ratios_that_are_not_read_are_noted(tmp_path: Path) ->
     assert notes == [[], ["<dynamics>"], *[["<transmission>"]] * 2]
 
 
+@pytest.mark.parametrize("element", ['<safety_controller soft_upper_limit="1"/>', '<rotor_inertia value="1e-4"/>'])
+def test_soft_limits_and_rotors_that_are_not_read_are_noted(element: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(two_link_urdf().replace("</joint>", element + "</joint>"))
+    (note,) = arm_of(tmp_path / "arm.urdf").notes
+    assert note.startswith(f"{element.split()[0]}> is not read: enter ")
+
+
 def test_a_name_that_is_changed_is_said(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(two_link_urdf())
     said = fjr_here("new", str(tmp_path / "arm.urdf"), "--name", "mein Ärmel", "--output", str(tmp_path))

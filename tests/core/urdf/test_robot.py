@@ -239,10 +239,12 @@ DOUBTED = {
     "expected the largest to be at most the sum of the others": with_inertia(0.01, 0.031, 0.02),
     "link 'upper' has 1 kg and an inertia of 90 kg m^2, "
     "a radius of gyration of 9.49 m; expected at most 5 m": with_inertia(90, 90, 90),
-    "joint 'shoulder' has the origin (0.0, 0.0, 0.0) m and limits of -170 and 170; "
+    "joint 'shoulder' has the origin (0.0, 0.0, 0.0) m, (0.0, 0.0, 0.0) rad and limits of -170 and 170; "
     "expected m and rad, at most 50": TWO.replace("</joint>", '<limit lower="-170" upper="170"/></joint>', 1),
-    "joint 'elbow' has the origin (0.0, 0.0, -300.0) m and limits of -inf and inf; "
+    "joint 'elbow' has the origin (0.0, 0.0, -300.0) m, (0.0, 0.0, 0.0) rad and limits of -inf and inf; "
     "expected m and rad, at most 50": TWO.replace('"0 0 -0.3"', '"0 0 -300"'),
+    "joint 'elbow' has the origin (0.0, 0.0, -0.3) m, (90.0, 0.0, 0.0) rad and limits of -inf and inf; "
+    "expected m and rad, at most 50": TWO.replace('"0 0 -0.3"', '"0 0 -0.3" rpy="90 0 0"'),
 }
 """URDFs by the warning that each gives: bodies that no chosen joint moves, bodies that are none, mm and degrees."""
 
@@ -293,7 +295,7 @@ REFUSED: dict[str, tuple[str, str]] = {
     "zero axis": (TWO.replace('axis xyz="0 1 0"', 'axis xyz="0 0 0"', 1), "joint 'shoulder' has the axis 0 0 0"),
     "short axis": (TWO.replace('axis xyz="0 1 0"', 'axis xyz="0 1"', 1), '<axis xyz="0 1">; expected 3 numbers'),
     "word in origin": (TWO.replace('"0 0 -0.3"', '"0 0 a"'), "joint 'elbow' has <origin xyz=\"0 0 a\">; expected 3"),
-    "no mass": (TWO.replace('<mass value="1.0"/>', "", 1), "link 'upper' has <mass value=\"\">; expected a number"),
+    "no mass": (TWO.replace('<mass value="1.0"/>', "", 1), "link 'upper' has no <mass value=...>; expected a number"),
     "mass zero": (TWO.replace('value="1.0"', 'value="0"', 1), "link 'upper' has the mass 0 and an inertia; expected"),
     "negative mass": (TWO.replace('value="1.0"', 'value="-1"', 1), "link 'upper' has the mass -1.0; expected 0"),
     "negative inertia": (TWO.replace('iyy="0.01"', 'iyy="-1"', 1), "link 'upper' has the principal inertia -1"),

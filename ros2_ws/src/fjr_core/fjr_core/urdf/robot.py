@@ -96,8 +96,8 @@ def _named(tree: UrdfTree, joints: Sequence[str]) -> list[UrdfJoint]:
         if joint.kind not in MOVING:
             raise RobotError(f"joint '{name}' is {joint.kind}; expected a {', '.join(MOVING)} joint")
         lower, upper, *_ = joint.limits
-        if any(IN_SI < abs(value) < UNLIMITED for value in (*joint.xyz, lower, upper)):
-            where = f"the origin {joint.xyz} m and limits of {lower:g} and {upper:g}"
+        if any(IN_SI < abs(value) < UNLIMITED for value in (*joint.xyz, *joint.rpy, lower, upper)):
+            where = f"the origin {joint.xyz} m, {joint.rpy} rad and limits of {lower:g} and {upper:g}"
             _warn(f"joint '{name}' has {where}; expected m and rad, at most {IN_SI:g}")
     return [tree.joints[name] for name in joints]
 

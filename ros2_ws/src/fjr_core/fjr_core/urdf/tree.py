@@ -305,7 +305,8 @@ def _numbers(where: str, element: ET.Element, tag: str, name: str, default: str,
     allowed = np.all(np.abs(values) <= LARGEST_NUMBER) or (tag == "limit" and not np.any(np.isnan(values)))
     if len(values) != count or not allowed:
         numbers = "a number" if count == 1 else f"{count} numbers"
-        raise RobotError(f'{where} has <{tag} {name}="{text}">; expected {numbers}')
+        seen = f'<{tag} {name}="{text}">' if text else f"no <{tag} {name}=...>"
+        raise RobotError(f"{where} has {seen}; expected {numbers}")
     return values
 
 

@@ -33,7 +33,9 @@ HAND = re.compile(
 """Names of joints that belong to a gripper, a hand or a wheel."""
 UNREAD = {
     r"<dynamics\b[^>]*[1-9]": "<dynamics> is not read: enter damping as motor_damping, friction as imperfections",
-    r"<mechanical_?[rR]eduction>\s*(?!\s|1(\.0*)?\s*<)": "<transmission> is not read: motor_inertia is behind the gear",
+    r"<mechanical_?[rR]eduction>\s*(?!\s|1(\.0*)?\s*<)": "<transmission> is not read: enter it as gear_ratio",
+    r"<safety_controller\b[^>]*soft_": "<safety_controller> is not read: enter its limits as limits.link_position_*",
+    r"<(drake:)?rotor_inertia\b": "<rotor_inertia> is not read: enter it as motor_inertia, with gear_ratio",
 }
 """A note for each kind of number on joints in a URDF that the robot file has to hold instead."""
 LARGEST_FINGER = 4  # joints; a branch with at most as many on each side is a hand, a larger one two arms
