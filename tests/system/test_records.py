@@ -45,6 +45,8 @@ from fjr_identification.records.record_map import (
     written_map,
 )
 from fjr_identification.records.rigid_motion import KINDS
+from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.recording.signals import RunSignals
 from nodes.harness import nanoseconds
 from system.bags import Change, rewritten
 from system.executables import fjr_here
@@ -345,12 +347,24 @@ def test_a_part_of_a_bag_counts_from_the_first_command_however_late_it_is(
     run: Path, scenario: Scenario, whole: MotionRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(f"{read_record.__module__}.PART", 100)
+    monkeypatch.setattr(f"{RunSignals.__module__}.TOGETHER", 100)
     begin = 2.2  # s
     states = rewritten(run / "bag", tmp_path / "late", change=without_commands_before(begin))
     late, _ = read_record(states, scenario.joints, scenario.robot, Reading(None, 0.1, 0.3, KINDS))
     assert len(late.u) * late.dt == pytest.approx(0.3, abs=2 * late.dt)
     first = round((begin + 0.1) / whole.dt)
     assert late.q_m == pytest.approx(whole.q_m[first : first + len(late.u)])
+
+
+def test_what_is_later_than_the_part_of_a_bag_is_not_read(
+    run: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is read ends a second after the part, where a late command may answer its last state."""
+    monkeypatch.setattr(f"{RunSignals.__module__}.TOGETHER", 100)
+    whole, part = (RunSignals(read_bag(run), scenario.joints, until=until) for until in (np.inf, 0.3))
+    np.testing.assert_array_equal(part.stamp, whole.stamp[: len(part.stamp)])
+    assert 1.3 <= (part.stamp[-1] - part.stamp[0]) * 1e-9 <= 1.3 + 2 * 100 * scenario.sample_period
+    assert len(part.stamp) < len(whole.stamp)
 
 
 def without_commands_before(begin: float) -> Change:

@@ -197,7 +197,7 @@ def record_of_bag(
     Effort: the command that answers each state, where there is none the one before, or else the torque of the motors in
     the states. Raises BagError, RecordError.
     """
-    signals = RunSignals(read_bag(path, mapping.namespace), joints)
+    signals = RunSignals(read_bag(path, mapping.namespace), joints, until=reading.start + reading.duration)
     by_states, notes = mapping.by_states or signals.commands is None, signals.notes
     if by_states:
         notes += (f"the effort of {motor_name(joints[0])} and so on in the states is the torque",)

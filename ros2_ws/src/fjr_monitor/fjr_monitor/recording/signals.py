@@ -19,7 +19,7 @@ from fjr_core.config.nodes import CONTROLLER
 from fjr_core.config.scenario import Scenario
 from fjr_core.motions.reference import Reference
 from fjr_core.numerics.checks import Array
-from fjr_monitor.recording.bag import STATES, STEP, Bag, JointTable, in_order
+from fjr_monitor.recording.bag import STATES, STEP, Bag, JointTable, header_stamp, in_order
 from fjr_monitor.recording.columns import Columns
 from fjr_monitor.recording.files import BagError, Times
 from fjr_msgs_py import names
@@ -37,6 +37,7 @@ CLOCKS = 500_000  # ns; delays to the receiver differ by less on one machine
 TAIL = 1.0  # s; states after the last command that are dropped without a note
 NEAR = 1e-6  # rad, m; two references that are nearer are equal
 END = 2**63 - 1  # ns; after every stamp
+Completion = Callable[[JointTable], JointTable]
 Places = NDArray[np.int32]
 """Rows of another topic that belong to k states; -1: none."""
 
@@ -136,19 +137,21 @@ class RunSignals:
         bag: Bag,
         joints: tuple[str, ...],
         duration: float = np.inf,
-        complete: Callable[[JointTable], JointTable] = lambda table: table,
+        complete: Completion = lambda table: table,
+        until: float = np.inf,
     ) -> None:
         """Read a bag.
 
         duration [s] of stamped time; infinite: up to the last state that has a command. complete: returns the complete
-        states of a table; without it, states are as they were recorded.
+        states of a table; without it, states are as they were recorded. until [s]: after the first command; what is
+        later is not read.
         """
         self._n, self.counters = len(joints), dict[str, dict[str, str]]()
         self.events: list[tuple[Any, int]] = []
         self.commands = next(filter(bag.holds, (ANSWERS, EFFORTS)), None)
         kept = [STATES, *filter(None, [self.commands]), *filter(bag.holds, [REFERENCE])]
         self._numbers, self.has_reference = {topic: Columns() for topic in kept}, REFERENCE in kept
-        self._ahead = self._read(bag, joints, complete)
+        self._ahead = self._read(bag, joints, complete, until)
         self.events = [(event, sent - self._ahead) for event, sent in self.events]
         self._references = _of_stamps(*self._choose(bag, duration), self._times(REFERENCE))[0]
 
@@ -187,14 +190,14 @@ class RunSignals:
         """Return the times [ns] from states to their commands, where there is one."""
         return (self.answered - self.sent)[self.answered >= 0]
 
-    def _read(self, bag: Bag, joints: tuple[str, ...], complete: Callable[[JointTable], JointTable]) -> int:
+    def _read(self, bag: Bag, joints: tuple[str, ...], complete: Completion, until: float) -> int:
         """Read the messages, with counters and events; times [ns] are kept among the numbers, as bytes.
 
         Return by how much the clock of the commands is ahead of that of the states [ns].
         """
         named = dict.fromkeys(self._numbers, joints) | {STATES: names.state_names(joints)}
         ahead = dict.fromkeys(self._numbers, -END)  # send minus receive time
-        beside = filter(bag.holds, (names.DIAGNOSTICS, EVENTS))
+        beside, first = filter(bag.holds, (names.DIAGNOSTICS, EVENTS)), END  # stamp of a state with a command
         for batch in bag.batches((*self._numbers, *beside), STATES, TOGETHER):
             for topic, numbers in self._numbers.items():
                 table = bag.table(batch[topic], named[topic])
@@ -207,6 +210,10 @@ class RunSignals:
                     self.counters[status.name] = {pair.key: pair.value for pair in status.values}
             if EVENTS in batch:
                 self.events += zip(batch[EVENTS].decoded, batch[EVENTS].publish_time.tolist(), strict=True)
+            newest = header_stamp(batch[STATES].messages[-1].data) if batch[STATES].messages else 0
+            first = min(first, newest) if self.commands is None or batch[self.commands].messages else first
+            if newest - first > until * 1e9 + AFTERWARDS:
+                break
         return clock_difference(ahead[STATES], ahead[self.commands or STATES])
 
     def _times(self, topic: str) -> tuple[Times, Times]:
