@@ -228,6 +228,10 @@ def test_wrong_mapping_of_a_real_record_is_named(
         ("time: {column: t}\neffort: {column: 'u{joint}', unit: N m, sign: 2}\n", "effort.sign is 2; expected 1 or -1"),
         ("time: {column: t}\neffort: {column: 'u{joint}', unit: N m, gear_ratio: [1, 2]}\n", "or 6 of them"),
         ("time: {column: t}\neffort: {column: 'u{joint}', unit: N m, joints: [b1]}\n", "expected some of a1, a2"),
+        (
+            "time: {column: t}\neffort: {column: FILL_IN, unit: N m}\n",
+            "effort.column is FILL_IN; expected the col",
+        ),
         ("bag: {motor: sensor}\n", "bag.motor is 'sensor'; expected position or torque"),
         ("bag: {ratio: 2}\n", "'bag' has ratio: 2; expected namespace, motor"),
     ],
@@ -464,6 +468,10 @@ COMPLETE = {
         LINK: {"shoulder": ("linkAngle1Deg", DEG), "elbow": ("linkAngle2Deg", DEG)},
         EFFORT: {"shoulder": ("motorTorque1Nm", 1.0), "elbow": ("motorTorque2Nm", 1.0)},
     },
+    "time_s,q_m1 [deg],q_m2 [deg],q_m1 [deg/s],q_m2 [rad/s],motor1_rpm,tau1 [Nm],tau2 [Nm]": {  # and velocities
+        MOTOR: {"shoulder": ("q_m1 [deg]", DEG), "elbow": ("q_m2 [deg]", DEG)},
+        EFFORT: {"shoulder": ("tau1 [Nm]", 1.0), "elbow": ("tau2 [Nm]", 1.0)},
+    },
 }
 
 
@@ -533,7 +541,7 @@ def test_parquet_has_a_header_too_and_other_files_are_refused(tmp_path: Path) ->
     names = ["time_s", "shoulder_motor_rad", "elbow_motor_rad", "shoulder_torque_nm", "elbow_torque_nm"]
     pq.write_table(pa.table({name: [0.0] for name in names}), tmp_path / "log.parquet")
     assert read(tmp_path, written_map(tmp_path / "log.parquet", ARM)[0]).columns[0] == "time_s"
-    for content in (b"", b"\xff\xfe\x00", b"alpha,beta\n0,0\n"):
+    for content in (b"", b"\xff\xfe\x00", b"alpha,beta\n0,0\n", b"t motor_rad\n0 0\n"):
         (tmp_path / "bad.csv").write_bytes(content)
         with pytest.raises(RecordError) as found:
             written_map(tmp_path / "bad.csv", ARM)

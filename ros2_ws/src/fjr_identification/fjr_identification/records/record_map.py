@@ -61,7 +61,7 @@ UNIT = {
 """Unit of a word; m and n alone are units only at the end of a name, where N m may be two words."""
 TIME_WORDS = {"time", "timestamp", "stamp", "t"}
 IGNORED = {"reference", "ref", "ld", "desired", "des", "setpoint", "target", "velocity", "vel", "speed", "dq", "qd"}
-IGNORED |= {"acceleration", "acc", "ddq", "current", "temperature", "temp", "error", "err", "state", "status"}
+IGNORED |= {"rpm", "acceleration", "acc", "ddq", "current", "temperature", "temp", "error", "err", "state", "status"}
 EFFORTS = {"torque", "effort", "tau", "trq", "u", "force", "moment"}
 POSITIONS = {"position", "pos", "angle", "q", "theta", "encoder", "enc"}
 SIDES = {MOTOR: {"motor", "rotor", "qm", "m"}, LINK: {"link", "load", "output", "secondary", "ql", "l"}}
@@ -170,6 +170,8 @@ def _signal(name: str, given: Any, joints: Sequence[str]) -> dict[str, TableColu
     if not isinstance(listed, list) or not set(listed) <= set(joints):
         raise ParameterError(f"{name}.joints is {listed!r}; expected some of {', '.join(joints)}")
     columns, n = entry["column"], len(listed)
+    if FILL_IN in columns:
+        raise ParameterError(f"{name}.column is {FILL_IN}; expected the columns of {', '.join(map(str, listed))}")
     if isinstance(columns, str):
         columns = [columns.replace("{joint}", joint) for joint in listed]
     if not isinstance(columns, list) or len(columns) != n or not all(isinstance(column, str) for column in columns):
@@ -276,7 +278,7 @@ def written_map(table: Path, joints: Sequence[str]) -> tuple[str, list[str]]:
             document[name] = _proposed(name, columns, joints, todo)
     if not by_signal[EFFORT]:
         document[EFFORT] = {"column": FILL_IN, "unit": FILL_IN}
-        todo.append(f"fill in  {EFFORT}: no column was recognised")
+        todo.append(f"fill in  {EFFORT}: no column was recognised (currents: gear_ratio is N m of the joint per A)")
     unused = [m.column for m in meanings if not m.signal or (m.signal == TIME and m != time)]
     head = (
         f"# Columns of {table.name}, by `fjr identify --write-map`; docs/from_csv.md explains the keys.\n"
@@ -300,9 +302,7 @@ def _proposed(signal: str, columns: Sequence[Meaning], joints: Sequence[str], to
         named = list(joints)
         todo.append(f"check    {signal}: {_few(columns)} are taken for {', '.join(joints)} in this order")
     if not named:
-        todo.append(
-            f"fill in  {signal}.joints of {_few(columns)}: one joint of the robot file for each, in their order"
-        )
+        todo.append(f"fill in  {signal}.joints of {_few(columns)}: one joint of the robot file for each, in order")
     patterns = {m.column.replace(joint, "{joint}", 1) for m, joint in zip(columns, named, strict=False)}
     entry: dict[str, Any] = {"column": patterns.pop() if len(patterns) == 1 else [m.column for m in columns]}
     if not named or named != list(joints):
@@ -325,7 +325,8 @@ def _meaning(column: str, joints: Sequence[str]) -> Meaning:
             break
     unit, words = _unit_of(words)
     said = set(words)
-    if said & IGNORED or ("external" in said and said & EFFORTS):  # the latter: an estimate of `fjr report --table`
+    rate = unit in TIMES and not said & TIME_WORDS  # such as rad/s
+    if rate or said & IGNORED or ("external" in said and said & EFFORTS):  # an estimate of `fjr report --table`
         return Meaning(column)
     if said & TIME_WORDS and not said & (EFFORTS | POSITIONS):
         return Meaning(column, TIME, "", unit)
@@ -368,8 +369,11 @@ def _delimiter_and_names(table: Path) -> tuple[str, list[str]]:
             return ",", list(pa.parquet.read_schema(table).names)
         headers: Mapping[str, list[str]] = {mark: header_of(table, mark)[1] for mark in ",;\t"}
     except (OSError, EOFError, UnicodeDecodeError, pa.ArrowException, csv.Error) as error:
-        raise RecordError(f"{table} is not a table ({' '.join(str(error).split())}); expected CSV or Parquet") from None
+        text = " ".join(str(error).split())
+        raise RecordError(f"{table} is not a table ({text}); expected CSV in UTF-8, or Parquet") from None
     delimiter = max(headers, key=lambda mark: len(headers[mark]))
+    if len(headers[delimiter]) == 1:
+        raise RecordError(f"{table} has one column; expected several, with commas, semicolons or tabs between them")
     return delimiter, headers[delimiter]
 
 
