@@ -254,7 +254,7 @@ class IdentifiedRobot:
 
 def described(estimate: Estimate) -> str:
     """Return name, joint, value, interval, unit and verdict of an estimate."""
-    value = f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.value:.4g} {estimate.unit}"
+    value = f"{estimate.name} of {estimate.joint or 'the arm'}: {estimate.value:.4g} {estimate.unit}".rstrip()
     seen = f", {estimate.seen}" if estimate.seen else ""
     if estimate.verdict == UNKNOWN:
         return f"{value}{seen}, not identifiable from these records, kept as given ({estimate.reason})"
