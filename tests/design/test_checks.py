@@ -50,6 +50,10 @@ class BadRate(Rising):
     rate = -1.0
 
 
+class FastExpressions(own_code.Symbolic):
+    rate = 100.0
+
+
 class Driving(own_code.Wrapped):
     hold_damping = -0.3
 
@@ -62,6 +66,7 @@ FAULTY_LAWS = {
     "a damping that drives": (Driving(JOINT), "hold_damping is [[-0.3]]; expected no negative eigenvalue"),
     "no damping": (NoDamping(JOINT), "NoDamping.hold_damping is 'some'; expected numbers"),
     "a rate too high": (own_code.Wrapped(JOINT, claimed=100.0), "expected at most -2 rate V = "),
+    "a rate too high of a law of expressions": (FastExpressions(JOINT), "expected at most -2 rate V = "),
     "V that rises": (Rising(JOINT), "dV/dt is "),
     "V without a rate of change": (Infinite(JOINT), "dV/dt is nan W at q_l = "),
     "V below 0": (Negative(JOINT), "expected 0 or more"),

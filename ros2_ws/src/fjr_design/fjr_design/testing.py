@@ -172,7 +172,7 @@ def _rate(law: StaticLaw, samples: Sequence[Sample]) -> float | None:
     """Return the rate [1/s] that the law claims, None without one."""
     if isinstance(law, TrackingLaw):
         return law.rate(np.array([x[: law.robot.n] for x, _ in samples])).beta
-    rate = getattr(law.own, "rate", None) if isinstance(law, PythonLaw) else None
+    rate = getattr(law.own if isinstance(law, PythonLaw) else law, "rate", None)
     if rate is not None and not (isinstance(rate, (int, float)) and 0 < rate < np.inf):
         raise ParameterError(f"rate is {rate!r}; expected a positive number [1/s]")
     return rate
