@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from fjr_core.model.robot import Robot
@@ -240,9 +241,12 @@ def _samples(sent: Array, acting: Array, whole: int = 0, most: int = thresholds.
 
 def _clipped(sent: Array, acting: Array, largest: Array) -> NDArray[np.bool_]:
     """Return where (k, n) the motor is saturated: at its largest torque for CLIPPED_FOR intervals, commanded more."""
-    from scipy.ndimage import binary_opening  # loaded on use: the running nodes measure no torque
-
     size = np.abs(acting)
     at_most = size >= (1 - thresholds.CLIPPED_LEVEL) * largest
     flags = at_most & (np.abs(sent) > (1 + thresholds.CLIPPED_BY) * size) & (sent * acting > 0)
-    return np.asarray(binary_opening(flags, np.ones((thresholds.CLIPPED_FOR, 1))))
+    lasting = np.zeros_like(flags)
+    if len(flags) >= thresholds.CLIPPED_FOR:
+        whole = np.all(sliding_window_view(flags, thresholds.CLIPPED_FOR, axis=0), axis=-1)
+        for interval in range(thresholds.CLIPPED_FOR):
+            lasting[interval : interval + len(whole)] |= whole
+    return lasting
