@@ -141,26 +141,34 @@ def _scan(motion: RigidMotion, j: int, tried: Array, late: list[Terms]) -> Scan:
         RATIO: np.array([terms.unexplained(j, g) for terms, g in zip(moved, tried, strict=True)]),
         SECONDS: np.array([terms.unexplained(j) for terms in late]),
     }
-    return Scan(tried, unexplained, here.unexplained(j), here.independent - PARAMETERS)
+    independent = min(2 * CUTOFF * here.dt, 1.0) * here.of(j).shape[1]
+    return Scan(tried, unexplained, here.unexplained(j), independent - PARAMETERS)
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Filtered terms of the equation, (k, n) each: tau, inertia B ddq with the file's B, dq, tanh(dq / v0), effort."""
+    """Terms of the equation, (k, n) each: tau, inertia B ddq with the file's B, dq, tanh(dq / v0), effort."""
 
     links: Array
     inertia: Array
     velocity: Array
     sign: Array
     effort: Array
-    independent: float
+    dt: float
+
+    def of(self, j: int) -> Array:
+        """Return the terms of joint j below CUTOFF (5, samples), without what the filter does at both ends."""
+        edge = int(0.3 / CUTOFF / self.dt)
+        sections = butter(4, min(2 * CUTOFF * self.dt, 0.9), output="sos")
+        terms = (x[:, j] for x in (self.links, self.inertia, self.velocity, self.sign, self.effort))
+        return np.asarray(sosfiltfilt(sections, [*terms])[:, edge : len(self.effort) - edge])
 
     def unexplained(self, j: int, effort: float = 1.0) -> float:
         """Return the share of the variance of joint j's effort, divided by a scale, that the equation leaves."""
-        u, friction = self.effort[:, j] / effort, (self.velocity[:, j], self.sign[:, j])
-        y, inertia = (without(x, *friction) for x in (u - self.links[:, j], self.inertia[:, j]))
+        links, inertia, *friction, measured = self.of(j)
+        y, inertia = (without(x, *friction) for x in (measured / effort - links, inertia))
         factor = np.clip(float(y @ inertia) / max(float(inertia @ inertia), 1e-300), 1 / TRUST, TRUST)
-        return float(np.sum((y - factor * inertia) ** 2) / max(np.sum((u - np.mean(u)) ** 2), 1e-300))
+        return float(np.sum((y - factor * inertia) ** 2) / max(len(y) * np.var(measured / effort), 1e-300))
 
 
 def _terms(motion: RigidMotion, scale: Array | float = 1.0, time: float = 1.0) -> Terms:
@@ -170,12 +178,7 @@ def _terms(motion: RigidMotion, scale: Array | float = 1.0, time: float = 1.0) -
     a = np.gradient(v, motion.dt * time, axis=0)
     links = spring_torques(motion.robot, q[rows], v[rows], a[rows])
     inertia, effort = (a @ motion.robot.M_m.T)[rows], motion.u[rows] @ motion.robot.B_m.T
-    terms = links, inertia, v[rows], coulomb(v[rows], SMOOTHING), effort
-    dt = motion.dt * (rows.step or 1)
-    edge = int(0.3 / CUTOFF / dt)
-    sections = butter(4, min(2 * CUTOFF * dt, 0.9), output="sos")
-    links, inertia, v, sign, u = (sosfiltfilt(sections, term, axis=0)[edge : len(term) - edge] for term in terms)
-    return Terms(links, inertia, v, sign, u, min(2 * CUTOFF * dt, 1.0) * len(u))
+    return Terms(links, inertia, v[rows], coulomb(v[rows], SMOOTHING), effort, motion.dt * (rows.step or 1))
 
 
 def lacking(records: Sequence[MotionRecord], robot: Robot) -> list[str]:

@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from fjr_core.model.robot import Robot
 from fjr_core.motions.inverse_dynamics import spring_torque
 from fjr_core.numerics.checks import Array
+from fjr_core.numerics.jit import compiled
 from fjr_core.runtime.events import Finding
 
 from ..estimation.motion_record import MotionRecord
@@ -132,7 +133,7 @@ def spring_torques(robot: Robot, q: Array, dq: Array, ddq: Array) -> Array:
 @lru_cache(maxsize=4)
 def _spring_torque(robot: Robot) -> ca.Function:
     q, dq, ddq = (ca.SX.sym(name, robot.n) for name in ("q", "dq", "ddq"))
-    return ca.Function("spring_torque", [q, dq, ddq], [spring_torque(robot, q, dq, ddq)])
+    return compiled(ca.Function("spring_torque", [q, dq, ddq], [spring_torque(robot, q, dq, ddq)]))
 
 
 def without(values: Array, *others: Array) -> Array:
