@@ -19,7 +19,6 @@ from itertools import product
 from typing import Any
 
 import casadi as ca
-import cma
 import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
@@ -102,6 +101,8 @@ class UncertainLoop:
 
     def _search(self, seed: int) -> Any:
         """Return a search by CMA-ES from random shares; of one parameter, repeated, as it needs several."""
+        import cma  # with Matplotlib, which no test needs that only reads this module
+
         start = np.random.default_rng(seed).uniform(-1, 1, self.numbers)
         options = {"bounds": [-1, 1], "seed": seed + 1, "verbose": -9}
         return cma.CMAEvolutionStrategy(start.repeat(max(1, 3 - len(start))), STEP_SIZE, options)

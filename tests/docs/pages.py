@@ -57,6 +57,11 @@ def blocks(page: Path) -> Iterator[Block]:
         marks = dict(word.split("=", 1) for word in found[1].split()) if found else {}
 
 
+def languages(page: Path) -> list[str]:
+    """Return the language of each fenced block of a page that names one, without parsing the page."""
+    return re.findall(r"^ *```(\w+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+
+
 def inline(page: Path, kind: str) -> Iterator[Token]:
     """Yield the inline tokens of one kind: code_inline, link_open or image."""
     for token in tokens(page):

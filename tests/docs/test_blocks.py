@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks
+from docs.pages import LANGUAGES, MARKS, PAGES, ROOT, Block, blocks, languages
 from docs.shell import exit_codes, only_fjr, script, syntax_error
 from fjr_core.config import ros_yaml
 from fjr_core.config.scenario import load_scenario
@@ -39,15 +39,14 @@ WITH_THE_PLAIN_RUN = ("tutorial", "identification", "reports")
 """Pages that begin with a run of the paper's joint; they are given that of other tests, and what the command said."""
 IN_PYTHON = "is evaluated in Python"  # of a law of the user
 BACKGROUND: list[subprocess.Popen[bytes]] = []
-ALL = [block for page in PAGES for block in blocks(page)]
 WITH_BLOCKS = sorted(  # pages with many commands take long and begin
-    (page for page in PAGES if any(block.language in ("python", "sh", "yaml") for block in blocks(page))),
-    key=lambda page: -sum(block.language == "sh" for block in blocks(page)),
+    (page for page in PAGES if {"python", "sh", "yaml"}.intersection(languages(page))),
+    key=lambda page: -languages(page).count("sh"),
 )
 
 
 def test_every_block_names_its_language_and_every_shell_block_is_valid_bash() -> None:
-    for block in ALL:
+    for block in (block for page in PAGES for block in blocks(page)):
         assert block.language in LANGUAGES, f"{block}: '{block.language}'; indented blocks have no language"
         assert set(block.marks) <= set(MARKS), str(block)
         assert block.language != "sh" or syntax_error(block.text) == "", str(block)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,6 @@ from fjr_core.motions.inverse_dynamics import effort_demand, inverse_dynamics
 from fjr_core.motions.spline import waypoints
 
 T = np.arange(10_001) / 1000  # s: 10 s at 1 kHz
-RNG = np.random.default_rng(3)
 LINK = fjr.single_link(stiffness=31.0)
 
 
@@ -19,19 +20,28 @@ def sampled(q: np.ndarray, decimals: int = 6, tolerance: float = 1e-3) -> fjr.Sa
     return fjr.SampledMotion(T[: len(q)], np.round(q, decimals).reshape(len(q), -1), tolerance)
 
 
-MOTIONS = {
-    "rounded sine": sampled(np.sin(T)),
-    "two joints": sampled(np.stack([np.sin(2 * T), np.cos(3 * T)], axis=1)[:4000]),
-    "noise": fjr.SampledMotion(T[::10], (np.sin(T[::10]) + 0.01 * RNG.normal(size=1001))[:, None], 0.1),
-    "waypoints": fjr.SampledMotion([0.0, 1.0, 1.5, 4.0], RNG.normal(size=(4, 2)), 1e-3),
-    "waypoints that end at speed": fjr.SampledMotion(
-        [0.0, 1.0, 2.0], RNG.normal(size=(3, 2)), 1e-3, RNG.normal(size=(3, 2))
-    ),
-}
-each = pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+NAMES = ("rounded sine", "two joints", "noise", "waypoints", "waypoints that end at speed")
 
 
-@each
+@cache
+def motions() -> dict[str, fjr.SampledMotion]:
+    """Return the motions by name; no worker but that of this file fits them."""
+    rng = np.random.default_rng(3)
+    made = (
+        sampled(np.sin(T)),
+        sampled(np.stack([np.sin(2 * T), np.cos(3 * T)], axis=1)[:4000]),
+        fjr.SampledMotion(T[::10], (np.sin(T[::10]) + 0.01 * rng.normal(size=1001))[:, None], 0.1),
+        fjr.SampledMotion([0.0, 1.0, 1.5, 4.0], rng.normal(size=(4, 2)), 1e-3),
+        fjr.SampledMotion([0.0, 1.0, 2.0], rng.normal(size=(3, 2)), 1e-3, rng.normal(size=(3, 2))),
+    )
+    return dict(zip(NAMES, made, strict=True))
+
+
+@pytest.fixture(params=NAMES)
+def motion(request: pytest.FixtureRequest) -> fjr.SampledMotion:
+    return motions()[request.param]
+
+
 def test_a_motion_is_c4_between_all_its_pieces(motion: fjr.SampledMotion) -> None:
     edges = motion.table[0][1:-1]
     before, after = (motion.jets(np.nextafter(edges, way)) for way in (-np.inf, np.inf))
@@ -39,14 +49,12 @@ def test_a_motion_is_c4_between_all_its_pieces(motion: fjr.SampledMotion) -> Non
     assert np.all(np.abs(before - after) < 1e-9 * np.maximum(scale, 1.0))
 
 
-@each
 def test_a_motion_comes_to_rest_with_four_continuous_derivatives(motion: fjr.SampledMotion) -> None:
     before = motion.jets(np.nextafter(motion.end, 0.0))
     np.testing.assert_allclose(before[1:], 0.0, atol=1e-9 * (1.0 + np.abs(motion.knot_jets).max()))
     np.testing.assert_array_equal(motion.jets(motion.end + 1.0), fjr.standing(motion.jets(motion.end)[0]))
 
 
-@each
 def test_a_motion_is_within_the_tolerance_and_reports_its_deviation(motion: fjr.SampledMotion) -> None:
     deviation = np.abs(motion.jets(motion.times)[:, 0] - motion.positions).max(axis=0)
     np.testing.assert_allclose(deviation, motion.deviation, atol=1e-12)
@@ -73,7 +81,7 @@ def test_a_reference_is_recovered_from_its_rounded_samples_and_rests_exactly_whe
 
 
 def test_a_motion_that_ends_at_speed_has_few_pieces_and_stops_with_moderate_efforts() -> None:
-    motion = MOTIONS["rounded sine"]
+    motion = motions()["rounded sine"]
     assert len(motion.knot_times) < 40
     along, whole = effort_demand(LINK, motion, 0.0, 9.99), effort_demand(LINK, motion)
     assert T[-1] < motion.end < 2 * T[-1]
@@ -81,7 +89,7 @@ def test_a_motion_that_ends_at_speed_has_few_pieces_and_stops_with_moderate_effo
 
 
 def test_waypoints_are_interpolated_with_their_velocities() -> None:
-    motion = MOTIONS["waypoints that end at speed"]
+    motion = motions()["waypoints that end at speed"]
     assert not motion.smoothed
     jets = motion.jets(motion.times)
     np.testing.assert_allclose(jets[:, 0], motion.positions, atol=1e-14)
@@ -90,7 +98,7 @@ def test_waypoints_are_interpolated_with_their_velocities() -> None:
 
 def test_each_joint_has_a_tolerance_of_its_own() -> None:
     """A prismatic joint with 0.1 mm of noise beside a revolute one with 10 mrad."""
-    noise = RNG.normal(size=(1001, 2)) * [0.01, 1e-4]
+    noise = np.random.default_rng(3).normal(size=(1001, 2)) * [0.01, 1e-4]
     q = np.stack([np.sin(T[::10]), 0.1 * np.sin(T[::10])], axis=1)
     motion = fjr.SampledMotion(T[::10], q + noise, [0.05, 5e-4])
     assert motion.smoothed
@@ -100,9 +108,9 @@ def test_each_joint_has_a_tolerance_of_its_own() -> None:
         assert not fjr.SampledMotion(T[::10], q + noise, tolerance).smoothed
 
 
-@pytest.mark.parametrize("name", [name for name in MOTIONS if name != "noise"])
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "noise"])
 def test_a_spline_through_its_waypoints_is_the_motion(name: str) -> None:
-    motion = MOTIONS[name]
+    motion = motions()[name]
     times, rows = waypoints(motion, 1e-6)
     t = np.linspace(0.0, motion.end, 3001)[1:]
     spline = fjr.Spline(times, *rows)
