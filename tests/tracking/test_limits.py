@@ -209,3 +209,11 @@ def test_a_change_of_position_that_may_be_noise_is_no_jump() -> None:
     for k, q_l in enumerate((0.0, 0.009, 0.0, 0.011)):
         tracker.command(sample(k * MS, q_l, 0.0), k * MS)
         assert tracker.counters["stops: position jump"] == (q_l > 0.01)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_link_that_moves_as_far_as_its_velocity_says_stops_for_the_velocity_and_not_for_a_jump(sign: float) -> None:
+    tracker = passing(link_velocity=1.0)
+    for k, (q, dq) in enumerate(((0.0, 0.0), (0.1, 10.0))):
+        tracker.command(sample(k * MS, sign * q, 0.0, sign * dq), k * MS)
+    assert tracker.counters == {"stops": 1, "stops: link velocity": 1}

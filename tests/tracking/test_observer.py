@@ -21,6 +21,7 @@ from tracking.tracked import (
     OBSERVED,
     SECOND,
     SINE,
+    TWO,
     Loop,
     bare_sample,
     largest_step,
@@ -142,6 +143,28 @@ def test_limits_of_velocities_and_tracking_error_are_not_checked_while_velocitie
     stamp = SECOND + (OBSERVED + 1) * MS
     tracker.command(bare_sample(stamp, 0.9), stamp)
     assert "link velocity" in tracker.reason
+
+
+def test_an_arm_at_rest_far_from_zero_is_within_the_limits_of_its_velocities() -> None:
+    tracker, _ = settled(link_velocity=2.0, motor_velocity=2.0)
+    assert tracker.state is State.TRACKING
+
+
+@pytest.mark.parametrize("side", ["link", "motor"])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_the_velocity_limit_of_each_joint_waits_until_velocities_settle(joint: int, side: str) -> None:
+    """The positions of the joint move at twice its limit."""
+    limit, q = np.full(2, np.inf), {"link": np.zeros(2), "motor": np.zeros(2)}
+    limit[joint] = 1.0
+    observer = fjr.VelocityObserver(TWO.robot, 150.0)
+    tracker = ControlStep(TWO, Hold([0.0, 0.0]), settings(2, **{f"{side}_velocity": limit}), observer)
+    for k in range(OBSERVED + 1):
+        assert not tracker.reason
+        state = sample(k * MS, q["link"], q["motor"])
+        state.dq_l = state.dq_m = None
+        tracker.command(state, k * MS)
+        q[side][joint] += 2e-3
+    assert tracker.reason.startswith(f"stopped: {side} velocity of joint{joint + 1}: ")
 
 
 BREAKS = {

@@ -139,3 +139,5 @@ def test_whatever_happens_the_supervisor_is_as_its_model(seed: int, observed: bo
     model = Model(ControlStep(TWO, TWO_SINES, given, observer=observer), rng)
     for event in rng.choice(EVENTS, 120):
         model.happen(event)
+    for each in list(model.tracker.controller.journal.event):
+        assert each.below == (each.value < each.limit), "an event below its limit says so"

@@ -24,6 +24,7 @@ from tracking.tracked import (
     SECOND,
     SINE,
     STEP,
+    STILL,
     TWO,
     TWO_SINES,
     largest_step,
@@ -33,7 +34,7 @@ from tracking.tracked import (
     tracker_at,
 )
 
-SHARE, MORE = constant("VELOCITY_SHARE"), constant("MORE")
+SHARE, MORE, MATCHED = constant("VELOCITY_SHARE"), constant("MORE"), constant("MATCHED")
 QUICKEST, ROOM_SHARE, PEAK = constant("QUICKEST"), constant("ROOM_SHARE"), constant("PEAK")
 
 
@@ -282,6 +283,15 @@ def test_a_reference_that_differs_by_a_milliradian_is_reached_by_a_transition() 
     tracker.follow(Hold([0.501]))
     command = tracker.command(sample(2 * MS, 0.5, 0.5), 2 * MS)
     assert (command.state, command.jets[0]) == (State.JOINING, pytest.approx([0.5], abs=1e-9))
+
+
+@pytest.mark.parametrize("q", [0.0, 3.0])
+@pytest.mark.parametrize(("share", "state"), [(0.9, State.TRACKING), (1.1, State.JOINING)])
+def test_jets_match_up_to_a_share_of_one_and_their_size(q: float, share: float, state: State) -> None:
+    tracker = ControlStep(LAW, Hold([q]), settings(**STILL))
+    tracker.command(sample(0, q, q), 0)
+    tracker.follow(Hold([q + share * MATCHED * (1 + q)]))
+    assert tracker.command(sample(MS, q, q), MS).state is state
 
 
 def test_hold_while_stopped_holds_the_position_at_resume() -> None:

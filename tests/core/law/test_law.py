@@ -26,6 +26,7 @@ from core.oracles.properties import (
     storage_rate,
     storage_terms,
 )
+from fjr_core.law.rate import rate, rate_from_inertia_bounds
 
 EXACT = 1e-11
 """Tolerance for URDF arms: residuals are relative to the largest torques, so this checks the wrist to six digits."""
@@ -162,3 +163,17 @@ def test_law_built_for_diagonal_gains_refuses_matrices_and_every_law_refuses_inv
         law.with_gains(fjr.Gains(10.0, 20.0, COUPLED, 15.0, 60.0, 0.3))
     with pytest.raises(fjr.GainsError, match="K_ld"):
         law.with_gains(fjr.Gains(10.0, 20.0, -0.6, 15.0, 60.0, 0.3))
+
+
+@pytest.mark.parametrize("others", [1.0, 1e3], ids=["damping of the links", "position gains"])
+def test_rates_from_bounds_of_a_constant_inertia_are_those_at_its_vertex(others: float) -> None:
+    """A proof bounds M_l relative to the damping; it may lose ROUNDING of the rate, and claims no more."""
+    robot, damping = fjr.single_link(), 0.1
+    gains = replace(fjr.PAPER_GAINS, Lambda_l=10.0 / others, K_ld=damping).checked(1)
+    exact, M = rate(robot, gains), float(robot.M_l([0.0])[0, 0])
+    bound = M / (float(robot.D_l[0, 0]) + damping)
+    found = rate_from_inertia_bounds(robot, gains, bound, bound, M)
+    assert found.beta_sigma_l == pytest.approx(exact.beta_sigma_l, rel=1e-8)
+    assert found.beta <= found.attained == pytest.approx(exact.beta, rel=1e-8)
+    assert found.beta_paper == pytest.approx(exact.beta_paper, rel=1e-8)
+    assert found.proven

@@ -29,6 +29,7 @@ NOISE = np.array([0.02, 0.01])
 STATED = {"link_mass": [0.1, 0.2], "joint_stiffness": 0.1, "link_damping": 0.5, "link_coulomb_friction": [0.1, 0.05]}
 ERRORS = StatedErrors(2, **STATED, link_torque=[0.05, 0.02], torque_noise=NOISE)
 T = np.arange(120) * 1e-3
+QUIET = 200_000_000  # ns, until a contact has ended
 
 
 def robot(d: Array) -> fjr.Robot:
@@ -218,6 +219,14 @@ def test_a_state_that_repeats_under_a_new_stamp_changes_nothing() -> None:
     np.testing.assert_array_equal(watch.S, clean.S)
 
 
+def test_a_state_that_repeats_the_last_one_that_was_measured_has_no_torque_while_there_is_none() -> None:
+    watch, (q, dq) = Watch(), motion(np.zeros(10))
+    watch.see(q[:50], dq[:50])
+    arrays = [watch.lib.ffi.from_buffer("double[]", each) for each in (q[49].copy(), dq[49].copy(), q[50] * np.nan)]
+    assert not watch.lib.lib.fjr_watch_torque(watch.o, watch.contact, arrays[2], arrays[1], 50_000_000)
+    assert not watch.lib.lib.fjr_watch_torque(watch.o, watch.contact, arrays[0], arrays[1], 51_000_000)
+
+
 @pytest.mark.parametrize("jump", [-50.0, 0.15, 50.0])
 def test_a_jump_of_the_clock_leaves_the_threshold_as_sharp_as_at_a_start(jump: float) -> None:
     """The observer restarts there: the time that the stamps skip is no error of its trapezoidal rule."""
@@ -257,8 +266,11 @@ def test_contact_ends_once_it_has_been_away_for_a_while() -> None:
     watch, (position, velocity) = Watch(), motion(np.zeros(10), np.where(T[:, None] < 0.02, [3.0, 0.0], 0.0))
     watch.see(position, velocity)
     assert watch.contact.acting
+    last = watch.contact.stamp
     for k in range(120, 420):
-        watch.see(position[-1:], 0 * velocity[-1:], k)
+        watch.see(position[-1:], 0 * velocity[-1:] + 1e-9 * k, k)  # no state repeats
+        last = max(last, watch.contact.stamp)
+        assert watch.contact.acting == (k * 1_000_000 - last < QUIET)
     assert not watch.contact.acting
 
 

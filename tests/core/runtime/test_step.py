@@ -118,7 +118,7 @@ def test_a_copied_controller_continues_with_the_same_bits() -> None:
         assert bytes(ffi.buffer(step.controller)) == bytes(ffi.buffer(copied))
 
 
-@pytest.mark.parametrize("dt", [MS // 3, 10 * MS, 101 * MS])
+@pytest.mark.parametrize("dt", [MS // 3, 10 * MS, 89 * MS, 101 * MS])  # 89: the longest gap
 def test_the_observer_of_the_step_is_the_velocity_observer(dt: int) -> None:
     """The class estimates where there is no controller, e.g. from bags; both give the same bits."""
     law, observer = fjr.TrackingLaw(TWO.robot, TWO_GAINS.gains), fjr.VelocityObserver(TWO.robot, 150.0)
