@@ -10,6 +10,7 @@ import pytest
 
 import fjr_core as fjr
 import own_code
+from fjr_core.motions.point_to_point import Hold
 from fjr_core.robust.law import Robust
 from fjr_core.runtime.control_step import ControlStep
 from fjr_core.runtime.events import STATES, State
@@ -19,6 +20,7 @@ from tracking.tracked import (
     PERIOD,
     SECOND,
     SINE,
+    TWO,
     Loop,
     kinds,
     sample,
@@ -45,6 +47,13 @@ def test_effort_without_options_is_bit_identical_to_the_law(law: fjr.TrackingLaw
     assert not loop.tracker.counters
     assert not loop.tracker.events
     assert loop.tracker.bound_start == (None if law is OWN else SECOND)
+
+
+def test_a_command_holds_the_state_at_which_its_law_was_evaluated() -> None:
+    tracker = ControlStep(TWO, Hold([0.0, 0.0]), settings(2))
+    command = tracker.command(sample(0, [0.1, 0.2], [0.3, 0.4], [0.5, 0.6], [0.7, 0.8]), 0)
+    np.testing.assert_array_equal(command.position, [0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_array_equal(command.velocity, [0.5, 0.6, 0.7, 0.8])
 
 
 def test_limits_that_are_not_reached_change_nothing() -> None:

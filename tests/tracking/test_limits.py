@@ -96,8 +96,9 @@ def test_the_effort_rises_from_zero_at_its_rate_and_a_repeated_or_older_stamp_ch
     tracker = passing(2, effort_rate=[1000.0, INF])
     sent = [send(tracker, [10.0, 10.0], stamp * MS) for stamp in (0, 1, 1, 3)]
     assert tracker.command(sample(2 * MS, [10.0, 10.0], 0.0), 3 * MS) is None
-    sent += [send(tracker, [10.0, 10.0], stamp * MS) for stamp in (3, 4, 30)]
-    np.testing.assert_allclose(sent, [[u, 10.0] for u in (0.0, 1.0, 1.0, 3.0, 3.0, 4.0, 10.0)], rtol=1e-12)
+    sent += [send(tracker, [10.0, 10.0], stamp * MS) for stamp in (3, 4, 30, 31)]
+    np.testing.assert_allclose(sent, [[u, 10.0] for u in (0.0, 1.0, 1.0, 3.0, 3.0, 4.0, 10.0, 10.0)], rtol=1e-12)
+    assert tracker.counters["efforts rate limited"] == 6
 
 
 def test_after_a_jump_of_the_stamps_the_rate_counts_for_the_timeout_at_most_and_a_constant_effort_has_none() -> None:
@@ -217,3 +218,9 @@ def test_a_link_that_moves_as_far_as_its_velocity_says_stops_for_the_velocity_an
     for k, (q, dq) in enumerate(((0.0, 0.0), (0.1, 10.0))):
         tracker.command(sample(k * MS, sign * q, 0.0, sign * dq), k * MS)
     assert tracker.counters == {"stops": 1, "stops: link velocity": 1}
+
+
+def test_a_deflection_is_that_of_the_spring_wherever_the_arm_is() -> None:
+    q = np.array([2.0, -2.0])
+    tracker = ControlStep(TWO, Hold(q), settings(2, deflection=0.1))
+    assert tracker.command(sample(0, q, 1.04 * q), 0).state is State.TRACKING

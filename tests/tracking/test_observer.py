@@ -167,6 +167,18 @@ def test_the_velocity_limit_of_each_joint_waits_until_velocities_settle(joint: i
     assert tracker.reason.startswith(f"stopped: {side} velocity of joint{joint + 1}: ")
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_position_that_overflows_the_estimate_of_one_motor_resets_the_observer(joint: int) -> None:
+    tracker = ControlStep(TWO, Hold([0.0, 0.0]), settings(2), fjr.VelocityObserver(TWO.robot, 150.0))
+    for k in range(OBSERVED + 2):
+        state = sample(k * MS, np.zeros(2), np.zeros(2))
+        state.dq_l = state.dq_m = None
+        state.q_m[joint] = 1e300 if k == OBSERVED + 1 else 0.0
+        tracker.command(state, k * MS)
+    assert is_reset(tracker)
+    assert tracker.counters == {"observer restarts": 1}
+
+
 BREAKS = {
     "a gap": lambda loop: loop.run(0.2, answered=False),
     "a state that is not finite": lambda loop: loop.tracker.command(bare_sample(loop.now - MS // 2, np.nan), loop.now),

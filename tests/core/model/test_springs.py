@@ -224,3 +224,4 @@ def test_what_has_no_inverse_is_refused(curve: str, more: str, sentence: str) ->
 def test_more_points_than_the_step_has_room_for_are_refused() -> None:
     nine = np.ones((2, 9, 1)).cumsum(axis=1)
     refused(fjr.RobotError, lambda: springs.checked_torsion(nine, np.eye(1)), "m of 1 to 8")
+    np.testing.assert_array_equal(springs.checked_torsion(nine[:, :8], np.eye(1)), nine[:, :8])
