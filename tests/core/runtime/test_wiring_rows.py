@@ -109,3 +109,14 @@ def test_both_sides_of_each_row_and_their_covariance_are_those_of_the_equations(
             wanted = np.triu(np.linalg.inv(root.T @ root))
             np.testing.assert_allclose(np.outer(sign, sign) * S, wanted, rtol=1e-6, atol=1e-9 * wanted.max())
             assert freedom == pytest.approx(rows.freedom)
+
+
+def test_a_comparison_that_suspects_no_joint_takes_one_operation_for_each_row() -> None:
+    """A robot at rest with the noise of its sensors."""
+    check, rng, operations = WiringCheck(COUPLED, ("a", "b")), np.random.default_rng(0), []
+    for k in range(40):
+        q, dq, u = (check._ffi.from_buffer("double[]", size * rng.normal(size=4)) for size in (1e-6, 1e-3, 0.0))
+        check._lib.fjr_wiring_see(check.state, 1e-3 * k, q, dq)
+        operations.append(check._lib.fjr_wiring_compare(check._model, check.state))
+        check._lib.fjr_wiring_sent(check.state, u)
+    assert set(operations) == {0, 4 * 2}
