@@ -6,8 +6,10 @@ from __future__ import annotations
 import inspect
 from dataclasses import replace
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import scipy.constants
 from scipy.stats import qmc
@@ -16,6 +18,7 @@ import fjr_core as fjr
 from core.oracles.cases import ARMS, HARD, Arm, PlanarTwoLink, SingleLink, random_state
 from core.oracles.chains import arm7
 from fjr_core.model.configuration_sampling import bounds_of, loop_configurations, sample_configurations
+from fjr_core.model.planar_arms import urdf_of_links
 
 arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 seeds = pytest.mark.parametrize("seed", range(2))
@@ -94,6 +97,24 @@ def test_single_link_has_the_values_of_table_1() -> None:
     assert {name: getattr(robot, name).item() for name in values} == values
     assert robot.M_l([0.7]).item() == 0.031
     assert robot.P_l([0.7]) == pytest.approx(0.8 * (1 - np.cos(0.7)), rel=1e-15)
+
+
+@pytest.mark.parametrize("robot", [fjr.single_link(), fjr.planar_two_link()], ids=["one", "two"])
+def test_the_urdf_that_shows_an_arm_has_its_dynamics_and_thin_links(robot: fjr.Robot) -> None:
+    """Pinocchio reads it; a link is as heavy as a cylinder of its looks about its own axis."""
+    text = urdf_of_links("arm", ["a", "b"][: robot.n], robot.links.bodies)
+    model = pin.buildModelFromXML(text)
+    data, q_l = model.createData(), np.array([0.7, -0.4])[: robot.n]
+    q = np.ravel([(np.cos(each), np.sin(each)) for each in q_l])  # continuous joints
+    np.testing.assert_allclose(pin.crba(model, data, q), robot.M_l(q_l), rtol=1e-12)
+    np.testing.assert_allclose(pin.computeGeneralizedGravity(model, data, q), robot.grad_P_l(q_l), rtol=1e-9)
+    for link in ElementTree.fromstring(text).findall("link")[1:]:
+        along, across = link.findall("visual/geometry/cylinder")
+        inertia, mass = link.find("inertial/inertia").attrib, float(link.find("inertial/mass").get("value"))
+        assert float(inertia["izz"]) == pytest.approx(mass * float(along.get("radius")) ** 2 / 2)
+        assert float(along.get("length")) > float(across.get("length")) > 2 * float(along.get("radius"))
+    turned = [origin.get("rpy").split()[0] for origin in ElementTree.fromstring(text).iterfind("link/visual/origin")]
+    assert turned == [repr(np.pi / 2), *["0.0", repr(np.pi / 2)] * robot.n]
 
 
 def test_robot_is_immutable() -> None:

@@ -97,6 +97,9 @@ def test_mean_rate_of_V_over_a_step_is_of_third_order(of_the_law: bool) -> None:
     assert error(2e-4) / error(1e-4) == pytest.approx(8.0, rel=0.1)
 
 
-def test_zero_instants_are_allowed() -> None:
+@pytest.mark.parametrize("k", [0, 1])
+def test_zero_instants_and_one_are_allowed_and_have_no_step(k: int) -> None:
     balance = Certificate(fjr.TrackingLaw(fjr.single_link(), fjr.PAPER_GAINS))
-    assert balance.along(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 5, 1))).V.shape == (0,)
+    series = balance.along(np.zeros((k, 2)), np.zeros((k, 2)), np.zeros((k, 5, 1)))
+    assert series.V.shape == (k,)
+    assert series.held_rate(np.zeros((k, 1))).shape == (0,)
