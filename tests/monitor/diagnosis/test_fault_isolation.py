@@ -108,6 +108,8 @@ def test_a_parameter_that_is_wrong_at_all_joints_is_one_fault(
     assert finding.size == pytest.approx(max(sizes, key=abs), rel=0.05)
     said = finding.sentence.partition("(")[2].partition(")")[0]
     assert np.array(said.split(", "), dtype=float) == pytest.approx(np.array(sizes), rel=0.05)
+    assert list(finding.sizes) == [kind]
+    assert finding.sizes[kind] == pytest.approx(sizes, rel=0.05)
 
 
 def rubbing(coulomb: Sequence[float], viscous: float = 0.0, robot: fjr.Robot = MODEL) -> tuple[Finding, ...]:
@@ -128,6 +130,8 @@ def rubbing(coulomb: Sequence[float], viscous: float = 0.0, robot: fjr.Robot = M
 def test_friction_of_all_motors_is_one_fault(coulomb: tuple[float, float], viscous: float) -> None:
     (finding,) = rubbing(coulomb, viscous)
     assert (finding.kind, finding.joint) == ("friction" if viscous else "Coulomb friction", ""), finding.sentence
+    assert finding.sizes["Coulomb friction"] == pytest.approx(coulomb, rel=0.15, abs=2e-3)
+    assert not viscous or finding.sizes["viscous friction"] == pytest.approx((viscous, viscous), rel=0.15)
     assert finding.sentence.startswith("all motors: ")
     assert finding.size == pytest.approx(0.08, rel=0.1)
 
@@ -268,6 +272,7 @@ def test_a_base_at_an_angle_has_another_direction_of_gravity(angle: float) -> No
     assert finding.size == pytest.approx(abs(angle), rel=0.02)
     said = finding.sentence.partition("(gravity [")[2].partition("]")[0]
     assert np.array(said.split(", "), dtype=float) == pytest.approx(turned, abs=0.05)
+    assert finding.sizes["gravity"] == pytest.approx(turned, abs=0.05)
 
 
 def encoder(kind: str, channel: int, size: float, begin: float) -> Sensed:

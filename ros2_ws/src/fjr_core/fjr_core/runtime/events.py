@@ -86,7 +86,8 @@ class Finding:
     kind: of SENTENCES (wiring), or e.g. "Coulomb friction" (diagnosis), "gear_ratio" (record); "a or b": these fit
     equally well, size is that of a. joint: its name, "a and b" if two are exchanged, "": unknown or all. side: "link",
     "motor", "joint" (the spring between the two) or empty. size, unit: magnitude, NaN: not known. share: part of the
-    residual torque that it explains. sentence: what was seen. since [s]: when it began, 0: it acts all the time.
+    residual torque that it explains. sentence: what was seen. since [s]: when it began, 0: it acts all the time. sizes:
+    by kind, if it consists of several kinds or is at all joints in their order; as "gravity" [m/s^2] that of the base.
     """
 
     kind: str
@@ -97,6 +98,7 @@ class Finding:
     share: float = 1.0
     sentence: str = ""
     since: float = 0.0
+    sizes: dict[str, tuple[float, ...]] = field(default_factory=dict, hash=False)
 
     @classmethod
     def of_wiring(cls, found: Any, names: Sequence[str]) -> Finding | None:

@@ -50,7 +50,8 @@ class Hypothesis:
 
     columns (b, 2n, p): residual per unknown. size: returns the size from the p fitted unknowns, None if the fault is
     impossible. nonlinear: fits dependent unknowns from (A, c) = (X'X, X'y); None: least squares. least: what the first
-    unknown must exceed. detail: all sizes, or what the model should say, from the p unknowns.
+    unknown must exceed. detail: all sizes, or what the model should say, from the p unknowns. sizes: these as numbers,
+    by kind, or as "gravity" [m/s^2].
     """
 
     kind: str
@@ -62,6 +63,7 @@ class Hypothesis:
     nonlinear: Callable[[Array, Array], Array] | None = None
     least: float = -np.inf
     detail: Callable[[Array], str] = lambda fitted: ""
+    sizes: Callable[[Array], dict[str, list[float]]] = lambda fitted: {}
 
     @property
     def unknowns(self) -> int:
@@ -180,28 +182,28 @@ def _of_body(seen: Residuals, j: int, unit: str) -> Iterator[Hypothesis]:
 
 def _together(parts: Sequence[Hypothesis], joint: int | None) -> Hypothesis:
     """Return faults of one unknown each as one, of a joint or of all; its size is the largest of its first kind."""
-    least = np.array([each.least for each in parts])
-    first = [i for i, each in enumerate(parts) if each.kind == parts[0].kind]
+    least, kinds = np.array([each.least for each in parts]), list(dict.fromkeys(each.kind for each in parts))
 
-    def sizes(fitted: Array) -> list[float]:
-        return [parts[i].size(fitted[i : i + 1]) or 0.0 for i in first]
+    def sizes(fitted: Array) -> dict[str, list[float]]:
+        found = [(each.kind, each.size(fitted[i : i + 1]) or 0.0) for i, each in enumerate(parts)]
+        return {kind: [size for of, size in found if of == kind] for kind in kinds}
 
     def bounded(A: Array, c: Array) -> Array:
         from scipy.optimize import lsq_linear  # 0.3 s of imports, as below
 
         return np.asarray(lsq_linear(*_square_root(A, c), (least, np.inf), method="bvls").x)
 
-    kind = parts[0].kind if len(first) == len(parts) else FRICTION
     columns = np.concatenate([each.columns for each in parts], axis=2)
     return Hypothesis(
-        kind,
+        kinds[0] if len(kinds) == 1 else FRICTION,
         joint,
         parts[0].side,
         parts[0].unit,
         columns,
-        lambda fitted: max(sizes(fitted), key=abs),
+        lambda fitted: max(sizes(fitted)[kinds[0]], key=abs),
         bounded if np.isfinite(least).any() else None,
-        detail=lambda fitted: f" ({', '.join(f'{size:.3g}' for size in sizes(fitted))})" if joint is None else "",
+        detail=lambda fitted: f" ({', '.join(f'{x:.3g}' for x in sizes(fitted)[kinds[0]])})" if joint is None else "",
+        sizes=sizes,
     )
 
 
@@ -225,10 +227,13 @@ def _of_base(seen: Residuals) -> Iterator[Hypothesis]:
             return None
         return float(np.arccos(np.clip(modelled @ (modelled + fitted) / (size * turned), -1, 1)))
 
-    def detail(fitted: Array) -> str:
-        return f" (gravity {(np.round(modelled + fitted, 3) + 0.0).tolist()} m/s^2)"  # no negative zero
+    def vector(fitted: Array) -> dict[str, list[float]]:
+        return {"gravity": (np.round(modelled + fitted, 3) + 0.0).tolist()}  # no negative zero
 
-    yield Hypothesis("direction of gravity", None, BASE, "rad", columns, angle, detail=detail)
+    def detail(fitted: Array) -> str:
+        return f" (gravity {vector(fitted)['gravity']} m/s^2)"
+
+    yield Hypothesis("direction of gravity", None, BASE, "rad", columns, angle, detail=detail, sizes=vector)
 
 
 def _point_mass(A: Array, c: Array) -> Array:

@@ -69,6 +69,11 @@ class FittedFault(NamedTuple):
         return float(self.fault.size(self.fitted) or 0.0)
 
     @property
+    def sizes(self) -> dict[str, tuple[float, ...]]:
+        """The sizes at all joints, or of several kinds."""
+        return {kind: tuple(map(float, sizes)) for kind, sizes in self.fault.sizes(self.fitted).items()}
+
+    @property
     def kind(self) -> str:
         """The kind of fault; an offset of an encoder that comes while the robot moves is a slip."""
         return SLIP if self.onset and self.fault.kind == "position offset" else self.fault.kind
@@ -171,7 +176,7 @@ def torque_fault(seen: Residuals, names: Sequence[str]) -> tuple[Finding, ...]:
     friction = Regression(seen, best.fault).fit(rubbing.fault) or rubbing
     what = f"{friction.place(names)} explains {percent(1 - left, 0)} of the residual torque"
     joint, unit = "" if everywhere is None else names[0], friction.fault.unit
-    return Finding(friction.kind, joint, MOTOR, friction.size, unit, 1 - left, what), other
+    return Finding(friction.kind, joint, MOTOR, friction.size, unit, 1 - left, what, sizes=friction.sizes), other
 
 
 def _present(seen: Residuals) -> bool:
@@ -216,7 +221,7 @@ def _named(
     what += f" from {number(since, 's')} on" if since else ""
     kind = " or ".join(each.kind for each in several)
     side = first.fault.side if len({each.fault.side for each in several}) == 1 else ""
-    return Finding(kind, joint, side, first.size, first.fault.unit, share, what, since), first
+    return Finding(kind, joint, side, first.size, first.fault.unit, share, what, since, first.sizes), first
 
 
 def _acts(seen: Residuals, best: FittedFault) -> bool:
