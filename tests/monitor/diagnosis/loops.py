@@ -74,19 +74,24 @@ def in_real_time(
     robot: fjr.Robot | None = None,
     lost: Collection[int] = (),
     begins: Callable[[int], int] = lambda k: 2,
+    unheard: Collection[int] = (),
+    noise: float = 0.0,
 ) -> Iterator[tuple[int, Array, Array, Array, Array]]:
     """Yield number, positions, velocities, jets and effort of each state of a loop on a late computer, from x on.
 
     robot: the plant; None: the model of the law. lost: samples without a state, through which the older effort acts.
-    begins: after how many INNER steps the effort of a state acts, or from the last lost sample after it on.
+    begins: after how many INNER steps the effort of a state acts, or from the last lost sample after it on. unheard:
+    samples whose commands never reach the robot. noise [rad/s]: standard deviation of that of the velocities.
     """
-    plant, older = fjr.Plant(robot or law.robot), None
+    plant, older, rng = fjr.Plant(robot or law.robot), None, np.random.default_rng(1)
     for k in (k for k in range(samples) if k not in lost):
         q, dq, jets = x[: len(x) // 2], np.concatenate(plant.robot.velocities(x)), reference.jets(k * PERIOD)
+        dq = dq + noise * rng.standard_normal(len(dq))
         u = law.measured_command(q, dq, jets)[0]
         yield k, q, dq, jets, u
         last = next(j for j in range(k, samples + 1) if j + 1 not in lost)
         older = u if older is None else older
+        u = older if k in unheard else u
         for step in range(4 * (last + 1 - k)):
             x = plant.step(x, older if step < 4 * (last - k) + begins(k) else u, INNER)
         older = u

@@ -91,6 +91,19 @@ def test_wrong_parameter_is_isolated_with_its_size(
     assert finding.sentence in found.sentence
 
 
+@pytest.mark.parametrize("factors", [(0.9, 1.0), (1.0, 0.97)])
+def test_by_its_measured_torque_a_weak_motor_is_no_delay(factors: tuple[float, float]) -> None:
+    """The torque is a share of the command: what is missing acts neither late nor was it lost."""
+    seen = record(acting=lambda u: u * factors)
+    applied = np.vstack([np.zeros((1, 2)), seen.u[:-1]]) * factors
+    found = diagnose(replace(seen, u_applied=applied), law(), axes=AXES)
+    (finding,) = found.findings
+    assert (finding.kind, finding.side) == ("torque constant", "motor")
+    assert found.causes[0] == "model mismatch"
+    assert not {"delay", "loss"} & {*found.causes}
+    assert finding.size == pytest.approx(100 * (min(factors) - 1), rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("robot", "kind", "side", "sizes"),
     [

@@ -128,7 +128,7 @@ def concluded(count: int, above: int, grown: float = 1.0, error: float = 0.0) ->
     causes = np.zeros((count, 4))
     causes[:above, 2] = 1.0
     nothing = np.zeros(count)
-    blocks = StorageBudget(causes, nothing, nothing, nothing, np.ones(count, dtype=bool))
+    blocks = StorageBudget(causes, nothing, nothing, nothing, nothing, np.ones(count, dtype=bool))
     peaks = np.zeros((count, 4, 2))
     peaks[:above, 2] = error
     judged = BlockStatistics(0.9, JointTolerances.plain(2))

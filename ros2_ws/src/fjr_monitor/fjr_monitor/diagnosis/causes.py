@@ -32,8 +32,8 @@ from fjr_monitor.diagnosis.record import Innovations, blocks_of
 
 from .thresholds import BLOCK, GAP, NOISE_DEVIATIONS, SAME_EFFORT
 
-MISMATCH, SATURATION = "model mismatch", "saturation"
-CAUSES = (MISMATCH, SATURATION, "delay", "loss")
+MISMATCH, SATURATION, LOSS = "model mismatch", "saturation", "loss"
+CAUSES = (MISMATCH, SATURATION, "delay", LOSS)
 CONTINUOUS = 1e-6  # relative difference of V between the end of an interval and the start of the next
 EMPTY: Array = np.zeros((0, 0, 0))
 
@@ -44,13 +44,15 @@ class StorageBudget:
 
     causes (b, 4) [J]: contribution of each of CAUSES. hold (b,) [J]: growth of V in the ideal sampled loop, with the
     known latency, above the bound exp(-2 beta dt). slack (b,) [J]: decay of V below that bound. noise (b,) [J]: what
-    measurement noise explains. judged (b,): true if every effort is that of the law or at a limit.
+    measurement noise explains. missing (b,): commands that never acted. judged (b,): true if every effort is that of
+    the law or at a limit.
     """
 
     causes: Array
     hold: Array
     slack: Array
     noise: Array
+    missing: Array
     judged: NDArray[np.bool_]
 
 
@@ -79,6 +81,7 @@ def storage_budget(found: Innovations, acted: Acting, robot: Robot, beta: float,
         hold=_sums(np.maximum(excess, 0.0)),
         slack=_sums(np.maximum(-excess, 0.0)),
         noise=np.abs(_sums(residual - within) - mismatch) + NOISE_DEVIATIONS * uncertain + np.abs(_sums(either)),
+        missing=_sums(acted.missing.astype(float)),
         judged=_sums(foreign(found).astype(float)) == 0,
     )
 

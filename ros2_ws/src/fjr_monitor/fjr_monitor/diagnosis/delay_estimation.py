@@ -22,13 +22,13 @@ from fjr_core.model.robot import Robot
 from fjr_core.numerics.checks import Array
 from fjr_monitor.diagnosis.record import Innovations, Table, blocks_of
 
-from . import thresholds
+from . import lost_commands, thresholds
 
-BEFORE = 2 * thresholds.OLDEST + 2
+BEFORE = thresholds.OLDEST + 2 + lost_commands.BEFORE + lost_commands.LONGEST
 """Intervals before a part of which the sent efforts may still act in it."""
 FEWEST_CHANGES = 20  # blocks into which a short record is divided
-AFTER = thresholds.CLIPPED_FOR - 1
-"""Intervals after a part that decide whether a motor was saturated in it."""
+AFTER = max(thresholds.CLIPPED_FOR - 1, lost_commands.AFTER)
+"""Intervals after a part that decide whether a motor was saturated in it, or a command lost."""
 _COLUMNS = thresholds.OLDEST + 4
 
 
@@ -36,12 +36,14 @@ class EffortDelay(NamedTuple):
     """Input delay: `whole` samples plus a `fraction` of the interval, during which the previous effort acts.
 
     fraction: beyond the known latency; negative where the effort acts before it. measured: estimated from the measured
-    torque; `whole` is then 0.
+    torque; `whole` is then 0. factors (n,): of the measured torque to the effort sent, which a weak motor has; empty:
+    not measured.
     """
 
     whole: int = 0
     fraction: float = 0.0
     measured: bool = False
+    factors: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ class Acting(Table):
     cut: Array
     late: Array
     lost: Array
+    missing: NDArray[np.bool_]  # whether the command of the interval (k,) never acted
     age: float  # samples, median delay with the known latency
 
 
@@ -113,10 +116,24 @@ def effort_delay(
         if residual <= max(thresholds.NO_WORSE * left, thresholds.EXACT * undelayed) or not accepted:
             unmixed, sent = _square(total, difference - after), _square(total, newest)
             mixed = residual < (1 - thresholds.HALF_WAY) * unmixed and unmixed > thresholds.NEGLIGIBLE * sent
-            return EffortDelay(0, measured if mixed else 0.0, True)
+            return EffortDelay(0, measured if mixed else 0.0, True, tuple(map(_factor, products)))
     if not accepted:
         return EffortDelay()
     return EffortDelay(whole + 1) if fraction > 1 - thresholds.EXACT else EffortDelay(whole, fraction)
+
+
+def _factor(products: Array) -> float:
+    """Return the factor of the measured torque to the effort sent; 1 unless it explains their difference, no delay.
+
+    products: of the columns of one joint.
+    """
+    newest, *steps, after, _ = np.eye(_COLUMNS)[1:]
+    delays = (_fit(products, after - sum(steps[:d], np.zeros(_COLUMNS)), step, 0.0)[1] for d, step in enumerate(steps))
+    most = min(thresholds.WEAK_LEAVES * _square(products, after), (1 - thresholds.DELAY_EXPLAINS) * min(delays))
+    power = _square(products, newest)
+    factor = 1 + float(after @ products @ newest) / power if power else 1.0
+    weak = abs(factor - 1) > thresholds.CLIPPED_BY and 1 / thresholds.WEAKEST > factor > thresholds.WEAKEST
+    return factor if weak and _square(products, after - (factor - 1) * newest) < most else 1.0
 
 
 def _changes(found: Innovations, robot: Robot, timed: bool | None) -> Array:
@@ -153,50 +170,77 @@ def _fit(products: Array, y: Array, b: Array, least: float) -> tuple[float, floa
 
 
 class ActingSums:
-    """How many samples old the acting efforts are, if the delay is as given, and whether any acts for part of one."""
+    """What classifies acting efforts by the measured torque, or by the motion, if the delay is as given."""
 
-    def __init__(self, parts: Sequence[Innovations], age: EffortDelay, robot: Robot, timed: bool | None = None) -> None:
-        """parts, timed: as of effort_delay."""
+    def __init__(self, parts: Sequence[Innovations], age: EffortDelay, robot: Robot) -> None:
+        """parts: as of effort_delay."""
         self.age, self._robot = age, robot
         latency = np.concatenate([found.latency for found in parts])
         self._known = float(np.median(latency)) if len(latency) else 0.0
-        self._counts = np.zeros(BEFORE, dtype=np.int64)
-        self._mixed = self._changed = 0.0
-        self._largest = np.zeros(robot.n)
+        self._usual, self._sent = float(age.whole), False
+        self._largest: Array = np.zeros(robot.n)
+        self._noise: Array = np.zeros(robot.n)
+        self._period = float(np.median(np.concatenate([found.dt for found in parts]))) if len(latency) else 0.0
+        if len(latency) < 2:
+            return
+        if not age.measured:
+            commands, missing = map(np.concatenate, zip(*map(self._missed, parts), strict=True))
+            self._noise = lost_commands.noise_of(commands, missing)
+            return
+        ages: list[NDArray[np.intp]] = []
+        off = changed = 0.0
         for found in parts:
-            required, regular = needed(found, robot), regular_intervals(found, timed)
-            samples, newer, older = _newer(found, age, required)
-            changes = regular[1:] & regular[:-1]
-            changes[: thresholds.OLDEST] = False
-            self._counts += np.bincount(samples, minlength=BEFORE)
-            self._mixed += _squares(required - newer, changes)
-            self._changed += _squares(newer - older, changes)
+            newer, older = _by_torque(found, age)
+            samples = _samples(found.sent, newer)
+            ages.append(samples)
+            off += float(((newer - _delayed(found.sent, samples)) ** 2).sum())
+            changed += float(((newer - older) ** 2).sum())
             self._largest = np.maximum(self._largest, np.abs(found.after).max(axis=0, initial=0.0))
+        self._usual, self._sent = float(np.median(np.concatenate(ages))), off <= thresholds.MIXED * changed
 
-    def acting(self, found: Innovations) -> Acting:
-        """Classify the deviations of the acting effort: saturated by the motor, delayed, or held as one was lost."""
-        age = self.age
-        samples, newer, older = _newer(found, age, needed(found, self._robot))
-        shape = found.sent.shape
-        cut = _clipped(found.sent, found.after, self._largest) if age.measured else np.zeros(shape, dtype=bool)
-        whole = self._mixed <= thresholds.MIXED * self._changed  # no change in an interval
-        ends = np.cumsum(self._counts)
-        middle = [np.searchsorted(ends, place, side="right") for place in ((ends[-1] - 1) // 2, ends[-1] // 2)]
-        usual = float(np.mean(middle)) if ends[-1] else 0.0  # the median
-        if not (whole or age.measured):  # by chance another effort is nearest
-            samples, usual = np.full_like(samples, age.whole), float(age.whole)
-            newer, older = (_delayed(found.sent, age.whole + later) for later in (0, 1))
-        total = usual + age.fraction
-        difference = (1 - age.fraction) * newer + age.fraction * older - found.sent
-        limit = np.inf if not whole else 0.5 if total < thresholds.LATE else usual + 1.5
-        lost = (samples > limit)[:, None] & ~cut
-        zero = np.zeros_like(difference)
+    def acting(self, found: Innovations, begin: int = 0) -> Acting:
+        """Classify the deviations of the acting effort: saturated by the motor, delayed, or held as one was lost.
+
+        begin: interval with which a block begins.
+        """
+        return self._by_torque(found) if self.age.measured else self._by_motion(found, begin)
+
+    def _by_torque(self, found: Innovations) -> Acting:
+        """Classify by the measured torque; it tells which command was lost if it is one of the efforts sent."""
+        newer, older = _by_torque(found, self.age)
+        total = self._usual + self.age.fraction
+        difference = (1 - self.age.fraction) * newer + self.age.fraction * older - found.sent
+        limit = np.inf if not self._sent else 0.5 if total < thresholds.LATE else self._usual + 1.5
+        cut, missing = _clipped(found.sent, found.after, self._largest), _samples(found.sent, newer) > limit
+        lost = missing[:, None] & ~cut
         return Acting(
-            cut=np.where(cut, difference, zero),
-            late=np.where(cut | lost, zero, difference),
-            lost=np.where(lost, difference, zero),
+            cut=np.where(cut, difference, 0.0),
+            late=np.where(cut | lost, 0.0, difference),
+            lost=np.where(lost, difference, 0.0),
+            missing=missing,
             age=total + self._known,
         )
+
+    def _missed(self, found: Innovations) -> tuple[Array, Array]:
+        """Return the commands (k, n) that act at the end of each interval, and what the motion requires beyond them."""
+        u = _delayed(found.sent, self.age.whole)
+        return u, needed(found, self._robot) + foreseen(found) - u
+
+    def _by_motion(self, found: Innovations, begin: int) -> Acting:
+        """Classify by the effort that the motion requires.
+
+        Of a command that waited for more than a sample the known latency says what acted: it is late.
+        """
+        whole, fraction = self.age.whole, self.age.fraction
+        (u, e), older = self._missed(found), _delayed(found.sent, whole + 1)
+        share, timed = np.clip(found.latency + fraction, 0.0, 1.0), (found.latency > 0) | (fraction != 0)
+        spread = np.maximum(thresholds.UNSURE * timed, unsure(found, self._period))
+        missing, before = lost_commands.lost_commands(u, e, share, (self._noise, spread), begin)
+        missing &= found.latency < 1.0
+        held = np.where(missing, 1.0, share * np.append(False, missing[:-1]))[:, None]
+        lost = held * (before - u) - share[:, None] * (older - u) * (held > 0)
+        late = (1 - fraction) * u + fraction * older - found.sent
+        return Acting(np.zeros_like(lost), late, lost, missing, whole + fraction + self._known)
 
 
 def regular_intervals(found: Innovations, timed: bool | None = None) -> NDArray[np.bool_]:
@@ -211,17 +255,10 @@ def regular_intervals(found: Innovations, timed: bool | None = None) -> NDArray[
     return good
 
 
-def _newer(found: Innovations, age: EffortDelay, required: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the age (k,) of the acting effort in samples, and the efforts (k, n) of that age and one sample older."""
-    if age.measured:
-        return _samples(found.sent, found.after), found.after, found.before
-    samples = age.whole + _samples(found.sent, required, age.whole, thresholds.MOST_LOST)
-    return samples, _delayed(found.sent, samples), _delayed(found.sent, samples + 1)
-
-
-def _squares(residual: Array, regular: NDArray[np.bool_]) -> float:
-    """Return the sum of squares of the regular changes of a residual (k, n) from interval to interval."""
-    return float((np.diff(residual, axis=0)[regular] ** 2).sum())
+def _by_torque(found: Innovations, age: EffortDelay) -> tuple[Array, Array]:
+    """Return the efforts (k, n) at the end and at the start of each interval by the measured torque, as commanded."""
+    factors = np.asarray(age.factors or 1.0)
+    return found.after / factors, found.before / factors
 
 
 def _delayed(u: Array, samples: int | NDArray[np.intp]) -> Array:
@@ -229,12 +266,9 @@ def _delayed(u: Array, samples: int | NDArray[np.intp]) -> Array:
     return u[np.maximum(np.arange(len(u)) - samples, 0)]
 
 
-def _samples(sent: Array, acting: Array, whole: int = 0, most: int = thresholds.OLDEST) -> NDArray[np.intp]:
-    """Return the delay (k,) in samples, `whole` to `most` more, of the sent effort that equals the acting one.
-
-    0: none does.
-    """
-    distances = np.array([np.abs(acting - _delayed(sent, whole + j)).max(axis=1) for j in range(most + 1)])
+def _samples(sent: Array, acting: Array) -> NDArray[np.intp]:
+    """Return the delay (k,) in samples of the sent effort that equals the acting one; 0: none does."""
+    distances = np.array([np.abs(acting - _delayed(sent, j)).max(axis=1) for j in range(thresholds.OLDEST + 1)])
     nearest = np.argmin(distances, axis=0)
     return np.where(distances.min(axis=0) <= thresholds.SAME_OLDER * distances[0], nearest, 0)
 

@@ -125,7 +125,7 @@ class FirstPass:
     def acting(self, by_torque: bool = True) -> ActingSums:
         """Return what classifies the acting efforts; by_torque: as of effort_delay."""
         age = effort_delay(self._innovations, self.law.robot, self._timed, by_torque)
-        return ActingSums(self._innovations, age, self.law.robot, self._timed)
+        return ActingSums(self._innovations, age, self.law.robot)
 
     def faults(self) -> tuple[Finding, ...]:
         """Return the faults that explain the record at both ends, where no motor was saturated.
@@ -136,9 +136,10 @@ class FirstPass:
         late = foreseen(found)
         free = ~(self.acting().acting(found).cut != 0).any(axis=1)
         moved = self.acting(by_torque=False)
+        acted = moved.acting(found)
         if moved.age.whole or moved.age.fraction:
-            acted = moved.acting(found)
-            late = late + acted.late + acted.lost
+            late = late + acted.late
+        late = late + acted.lost
         return isolate(ends, found.rows(free), late[free], self.law, self.axes.names)
 
 
@@ -217,7 +218,7 @@ class SecondPass:
     def _process(self, kept: Innovations, in_blocks: int, count: int) -> None:
         """Process the next `in_blocks` intervals in blocks, and `count` for the growth of V and the figures."""
         robot, period, begin = self._robot, self._sample_period, self._begin
-        acted = self._acting.acting(kept)
+        acted = self._acting.acting(kept, begin)
         blocks = slice(begin, begin + in_blocks)
         ahead = slice(begin, begin + in_blocks + 1)  # one more, whose law effort shows what a gap missed
         budget = storage_budget(kept.rows(blocks), acted.rows(blocks), robot, self._beta, period)

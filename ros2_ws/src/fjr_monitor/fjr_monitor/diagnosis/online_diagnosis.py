@@ -19,11 +19,11 @@ from fjr_core.motions.reference import JETS
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import CLibrary, record_type
 from fjr_monitor.diagnosis import causes
-from fjr_monitor.diagnosis.delay_estimation import ActingSums, EffortDelay, effort_delay
+from fjr_monitor.diagnosis.delay_estimation import BEFORE, ActingSums, EffortDelay, effort_delay
 from fjr_monitor.diagnosis.record import Innovations, limited
 from fjr_monitor.diagnosis.verdict import BlockStatistics, Diagnosis, unknown
 
-from .thresholds import BLOCK, OLDEST, JointTolerances
+from .thresholds import BLOCK, JointTolerances
 
 _FIELDS = {name: name for name in ("dt", "V0", "predicted", "sent", "law", "older", "error", "slope")} | {"V1": "V"}
 """Fields of Innovations, with the names of struct fjr_certified."""
@@ -169,9 +169,10 @@ class OnlineDiagnosis:
 
     def _latest_blocks(self, size: int) -> tuple[causes.StorageBudget, causes.CauseErrors, Array]:
         """Return storage budget and errors by cause of the last `size` intervals, and V with the lowest V before it."""
-        seen = self._intervals.last(size + OLDEST, self._new)
+        seen = self._intervals.last(size + BEFORE, self._new)
         seen = replace(seen, limited=limited(seen.sent, seen.older, seen.dt, *self._limits))
-        acted = ActingSums([seen], self._age, self._law.robot).acting(seen).rows(slice(-size, None))
+        acting = ActingSums([seen], self._age, self._law.robot).acting(seen, len(seen) - size)
+        acted = acting.rows(slice(-size, None))
         found = seen.rows(slice(-size, None))
         if not self._period:
             self._period = _usual(found.dt)

@@ -58,6 +58,8 @@ CLIPPED_LEVEL = 1e-3
 """Relative width of the torque level of a saturated motor."""
 CLIPPED_FOR = 5
 """Consecutive intervals at that level of a saturated motor."""
+WEAKEST, WEAK_LEAVES = 0.5, 0.1
+"""Least factor of a weak motor, and the largest share of the missing torque that it leaves."""
 DELAY_EXPLAINS = 0.5
 """Share of the motor residual that a delay must explain to be accepted."""
 EXACT = 0.01
@@ -68,12 +70,10 @@ NO_WORSE = 1.1
 """Accept the measured torque if its residual is at most this multiple of that of the best delay."""
 OLDEST = 24
 """Largest delay searched, in samples."""
-MOST_LOST = 6
-"""Samples beyond the delay by which an acting effort may be older because others were lost."""
 SAME_OLDER = 0.1
 """The acting torque is an older effort if its distance is at most this fraction of that from the newest."""
 MIXED = 0.02
-"""Two efforts acted in an interval if one leaves more than this share of the changes of the required effort."""
+"""The measured torque is that of efforts sent if these leave at most this share of its changes."""
 NEGLIGIBLE = 1e-8
 """Residual changes relative to those of the efforts that are due to rounding."""
 LATE = 0.5

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.one_line import brief
 from fjr_core.runtime.events import Finding
-from fjr_msgs_py.console.output import plural
+from fjr_msgs_py.console.output import percent, plural
 
 from . import thresholds
-from .causes import CAUSES, MISMATCH, SATURATION, CauseErrors, StorageBudget
+from .causes import CAUSES, LOSS, MISMATCH, SATURATION, CauseErrors, StorageBudget
 from .thresholds import BLOCK, JointTolerances
 
 SAMPLING, NOISE, EXTERNAL = "sampling", "noise", "external torque"
@@ -110,7 +110,7 @@ class BlockStatistics:
         self._errors = np.zeros((2, len(CAUSES), n))
         self._blocks = self._counted = self._above = 0
         self._strongest = np.zeros(len(CAUSES), dtype=int)
-        self._hold = self._slack = 0.0
+        self._hold = self._slack = self._missing = 0.0
         self._added: list[Array] = []
 
     def add(self, blocks: StorageBudget, made: CauseErrors) -> None:
@@ -124,6 +124,7 @@ class BlockStatistics:
         self._strongest += np.bincount(np.argmax(causes[above], axis=1), minlength=len(CAUSES))
         self._hold += float(blocks.hold.sum())
         self._slack += float(blocks.slack.sum())
+        self._missing += float(blocks.missing.sum())
         self._added.append(blocks.hold + blocks.noise)
         self._grade(made, blocks.judged)
         self._settle(made, blocks.judged)
@@ -178,6 +179,7 @@ class BlockStatistics:
         """Diagnose the blocks; grown: growth of V over its lowest value and its floor. figures: further numbers."""
         share, strongest = self._above / max(1, self._counted), self._strongest / max(1, self._above)
         figures = {**figures, "blocks": float(self._counted), "violated share": share, "growth of V": grown}
+        figures["lost commands"] = self._missing / max(1, self._blocks * BLOCK)
         figures |= {f"violated by {cause}": float(strongest[i] * share) for i, cause in enumerate(CAUSES)}
         order = np.argsort(-strongest, kind="stable")
         causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
@@ -194,7 +196,7 @@ class BlockStatistics:
         errors = dict(zip(CAUSES, self._errors[which], strict=True)) if self._graded[which] else {}
         often = share >= thresholds.HIGH_SHARE or (share >= thresholds.SHARE and self._above >= thresholds.FEWEST)
         if grown > thresholds.EXCEEDED or often:
-            size, why = detail(causes, errors, self._axes), explained(causes)
+            size, why = detail(causes, errors, self._axes), self._explained(causes)
             if causes and self._within[which] and SATURATION not in causes:
                 sentence = f"{size}, within the tolerance: {why}"
                 return Diagnosis("degraded", causes, sentence, figures, errors, size)
@@ -204,6 +206,11 @@ class BlockStatistics:
             few = f"V exceeds its floor in {self._above} of {self._counted} blocks; expected more blocks"
             return unknown(few, figures)
         return self._exceeding(figures) or Diagnosis("holding", (), HOLDING, figures, errors)
+
+    def _explained(self, causes: tuple[str, ...]) -> str:
+        """Return a sentence for each cause, with the share of the commands that were lost."""
+        share = self._missing / max(1, self._blocks * BLOCK) if LOSS in causes else 0.0
+        return explained(causes) + (f" (about {percent(share, 1)} of the commands never acted)" if share else "")
 
     def _exceeding(self, figures: dict[str, float]) -> Diagnosis | None:
         """Return the diagnosis of a settled error beyond the tolerance or what is foreseen; None if it is not."""
@@ -219,7 +226,7 @@ class BlockStatistics:
         possible = np.array([errors[part][worst] for part in (PARTS if beyond.any() else CAUSES)])
         largest = possible / possible.sum()
         causes = tuple(PARTS[i] for i in np.argsort(-largest, kind="stable") if largest[i] >= thresholds.CAUSE_SHARE)
-        size, why = detail(causes, errors, self._axes), explained(causes)
+        size, why = detail(causes, errors, self._axes), self._explained(causes)
         what = "exceeds the tolerance" if beyond.any() else "is more than twice the one that the model foresees"
         sentence = f"the tracking error of {self._axes.largest(measured)} {what}: {why}; {size}"
         return Diagnosis("violated" if beyond.any() else "degraded", causes, sentence, figures, errors, size)
