@@ -44,7 +44,7 @@ class Reports(Health):
     def __init__(self, node: Node, step: ControlStep, events: EventWriter, robot: str) -> None:
         """Create the publisher; robot: name in the hardware_id of the diagnostics."""
         super().__init__(node, (RECEIVED, ANSWERED), robot)
-        self._step, self._events, self._heard = step, events, (0, 0.0)  # states received, and when
+        self._step, self._events, self._heard = step, events, (0, time.monotonic())  # states received, and when
         self._expected |= set(EXPECTED)
         inspect.getframeinfo(sys._getframe())  # the first line of the log costs 25 ms: pay it before samples arrive
 
@@ -80,7 +80,7 @@ class Reports(Health):
         for name, seconds in self._step.seconds.items():
             self.value(f"seconds {name}", f"{seconds:.3f}")
         received, now = self.count[RECEIVED], time.monotonic()
-        if not received or received != self._heard[0] or self._step.owner is None:  # as of a node that is not active
+        if received != self._heard[0] or self._step.owner is None:  # as of a node that is not active
             self._heard = received, now
         silent = now - self._heard[1]
         wrong = f"no states for {silent:.0f} s" if silent > self._step.settings.state_timeout else wrong
