@@ -371,6 +371,17 @@ def test_what_is_later_than_the_part_of_a_bag_is_not_read(
     assert len(part.stamp) < len(whole.stamp)
 
 
+def test_of_a_bag_with_other_names_the_names_that_are_expected_are_said(
+    run: Path, scenario: Scenario, tmp_path: Path
+) -> None:
+    def prefixed(topic: str, message: Any) -> Any:
+        return replace(message, name=[f"left/{each}" for each in message.name]) if topic == TIMED[0] else message
+
+    bag = rewritten(run / "bag", tmp_path / "bag", topics=TIMED, change=prefixed)
+    with pytest.raises(RecordError, match="shoulder has neither .*; expected shoulder or shoulder_motor"):
+        record_of_bag(bag, BagMap(np.ones(2)), scenario.joints)
+
+
 def without_commands_before(begin: float) -> Change:
     """Return a change of a bag that drops the commands of the first seconds."""
     first: list[int] = []

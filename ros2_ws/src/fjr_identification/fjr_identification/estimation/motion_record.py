@@ -17,7 +17,7 @@ from scipy.signal import resample_poly, savgol_filter
 
 from fjr_core.errors import RecordError, StateError, prefixed
 from fjr_core.model import springs
-from fjr_core.numerics.checks import Array, positive
+from fjr_core.numerics.checks import MOTOR, Array, positive
 from fjr_core.numerics.one_line import joints as joints_of
 
 from .elastic_arm import ElasticArm, packed
@@ -69,8 +69,8 @@ class MotionRecord:
             for k, j in np.argwhere(measured & ~np.isfinite(values))[:1]:
                 wrong = f"{name} of {self.joints[j]} is {values[k, j]} at sample {k}"
                 raise StateError(f"{wrong}; expected a finite number at every sample")
-        for j in np.flatnonzero(~(self.measured("q_l") | self.measured("q_m")))[:1]:
-            raise StateError(f"{self.joints[j]} has neither link nor motor positions; expected at least one of them")
+        for joint in np.array(self.joints)[~(self.measured("q_l") | self.measured("q_m"))][:1]:
+            raise StateError(f"{joint} has neither link nor motor positions; expected {joint} or {joint}{MOTOR}")
 
     def measured(self, signal: str) -> NDArray[np.bool_]:
         """Return the joints (n,) of which a signal of SIGNALS is measured."""
@@ -129,7 +129,7 @@ def on_uniform_grid(name: str, t: Array, held: Array, sampled: Array) -> tuple[f
 def _checked_steps(name: str, t: Array) -> Array:
     """Return the steps (k - 1,) [s] of increasing, finite times with a plausible period."""
     if len(t) < 2:
-        raise RecordError(f"{name} has {len(t)} samples; expected at least 2")
+        raise RecordError(f"{name} has {len(t)} samples; expected at least 2, each with a time of its own")
     if not np.all(np.isfinite(t)):
         raise RecordError(f"{name}: the time of sample {int(np.argmin(np.isfinite(t)))} is not finite; expected s")
     steps = np.diff(t)

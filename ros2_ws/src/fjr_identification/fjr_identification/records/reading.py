@@ -219,4 +219,4 @@ def _states(path: Path, signals: RunSignals, mapping: record_map.BagMap, by_stat
         t = (signals.stamp[rows] - signals.stamp[0]) * 1e-9
         yield np.column_stack([t, position[:, :n], q_m, u, tau])[np.isfinite(u).all(axis=1)]
     if not np.isfinite(before).all():
-        raise RecordError(f"{path} holds no effort of all joints; expected commands, or efforts in the states")
+        raise RecordError(f"{path} holds no effort of all joints; expected answers to states, or efforts in them")
