@@ -46,6 +46,7 @@ from fjr_identification.records.record_map import (
 )
 from fjr_identification.records.rigid_motion import KINDS
 from fjr_monitor.recording.bag import read_bag
+from fjr_monitor.recording.files import BagError
 from fjr_monitor.recording.signals import RunSignals
 from nodes.harness import nanoseconds
 from system.bags import Change, rewritten
@@ -379,6 +380,18 @@ def test_of_a_bag_with_other_names_the_names_that_are_expected_are_said(
 
     bag = rewritten(run / "bag", tmp_path / "bag", topics=TIMED, change=prefixed)
     with pytest.raises(RecordError, match="shoulder has neither .*; expected shoulder or shoulder_motor"):
+        record_of_bag(bag, BagMap(np.ones(2)), scenario.joints)
+
+
+def test_states_that_all_have_one_stamp_are_refused(run: Path, scenario: Scenario, tmp_path: Path) -> None:
+    """Some drivers leave the stamp at 0; of copies of a state the first one counts, so that one would be left."""
+
+    def unstamped(topic: str, message: Any) -> Any:
+        stamp = replace(message.header.stamp, sec=0, nanosec=0) if topic == TIMED[0] else message.header.stamp
+        return replace(message, header=replace(message.header, stamp=stamp))
+
+    bag = rewritten(run / "bag", tmp_path / "bag", topics=TIMED, change=unstamped)
+    with pytest.raises(BagError, match=r"all \d{4} states of .* have the stamp 0 ns; expected their times"):
         record_of_bag(bag, BagMap(np.ones(2)), scenario.joints)
 
 

@@ -272,9 +272,7 @@ class RecordedReference:
     def notes(self, recorded: bool) -> tuple[str, ...]:
         """Return a sentence on what was taken, once all parts were read; recorded: whether the bag holds the topic."""
         if not recorded:
-            return (
-                f"{REFERENCE} was not recorded: the scenario's reference is taken, from the first answered state on",
-            )
+            return (f"{REFERENCE} was not recorded: the scenario's is taken, from the first answered state on",)
         if np.isnan(self.mismatch):
             return (f"{REFERENCE} has none of the scenario's joints: the scenario's is taken",)
         if self._since < np.inf and self._start is None:

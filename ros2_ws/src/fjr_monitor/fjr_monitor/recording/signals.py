@@ -231,6 +231,8 @@ class RunSignals:
         starts = np.flatnonzero(np.diff(stamp) < -STEP) + 1
         begin, end = max(pairwise([0, *starts.tolist(), len(stamp)]), key=lambda ends: ends[1] - ends[0])
         stamp, sent = stamp[begin:end], sent[begin:end]
+        if len(stamp) > 1 and not np.ptp(stamp):
+            raise BagError(f"all {len(stamp)} states of {bag.path} have the stamp {stamp[0]} ns; expected their times")
         answers, answered = self._answers_of(stamp, sent)
         first = 0
         if (answers >= 0).any():
