@@ -107,7 +107,7 @@ def _sampled(
     evaluate_law = _bound_law(plant, law, x, u, V)
     segments = _segments(plant, x, period, delay, inner_step)
     for k in range(len(t)):
-        if not x.dot(x) < np.inf:
+        if not np.isfinite(x).all():
             raise _diverged(t[k])
         evaluate_law(jets[k], t[k] - t[k - 1] if k else 0.0)
         run.x[k], run.u[k], run.V[k] = x, u, V[0]
