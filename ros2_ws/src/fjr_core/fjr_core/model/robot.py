@@ -74,7 +74,7 @@ class Robot(Elastic):
 
     links: rigid arm on the link side. M_m: motor inertia reflected to the link side [kg m^2].
     K: joint stiffness [N m/rad]. D_l, D_m: link and motor damping [N m s/rad]. B_m: input matrix.
-    All five are constant matrices (n, n). limits: joint limits or None; they are not enforced here.
+    All five are constant, (n, n), (n,) or a number. limits: joint limits or None; they are not enforced here.
     prismatic: True for each prismatic joint (n,), none by default; its units are m and N.
     cubic: cubic stiffness k (n,) [N m/rad^3], 0 or more, of hardening springs K zeta + k zeta^3 (model.springs).
     torsion (2, m, n) [rad, N m]: deflections and torques of a curve with the slope K at zero, zeros for a straight
