@@ -24,4 +24,4 @@ for k in range(4000):
     x = plant.step(x, u, PERIOD)
 
 rms = np.sqrt(np.mean(np.square(errors[1000:])))
-print(f"tracking error: {errors[0]:.2f} rad at the start, RMS after 1 s {rms:.1e} rad")
+print(f"tracking error: {1e3 * errors[0]:.0f} mrad at the start, RMS after 1 s {1e3 * rms:.1e} mrad")

@@ -33,4 +33,4 @@ for case, (actual, delay) in cases.items():
     for name, robust in options.items():
         run = fjr.simulate(plant, sampled_law(law, robust), reference, x0, 6.0, PERIOD, delay=delay)
         error = (run.x[:, 0] - run.jets[:, 0, 0])[run.t > 5.0]
-        print(f"{case:20}  {name:>13}   {np.sqrt(np.mean(error**2)):.1e} rad")
+        print(f"{case:20}  {name:>13}   {1e3 * np.sqrt(np.mean(error**2)):7.2g} mrad")
