@@ -165,6 +165,23 @@ def test_alarm_is_where_the_distance_exceeds_its_limit(push: float) -> None:
         assert watch.contact.value > watch.contact.limit
 
 
+def test_alarm_begins_at_the_push_whose_distance_is_its_limit() -> None:
+    """By bisection; both joints are pushed, so that the distance needs the covariance of their torques."""
+    position, velocity = motion(np.ones(10))
+
+    def ratio(push: float) -> tuple[bool, float]:
+        watch, torque = Watch(), np.where(T[:, None] > 0.08, [push, -push / 2], 0.0)
+        watch.see(position - np.hstack([0 * torque, torque / K]), velocity)
+        return bool(watch.contact.acting), float(watch.e @ np.linalg.solve(watch.S, watch.e) / watch.o.limit)
+
+    low, high = 0.0, 8.0
+    for _ in range(10):
+        middle = (low + high) / 2
+        low, high = (low, middle) if ratio(middle)[0] else (middle, high)
+    assert ratio(low) == (False, pytest.approx(1.0, abs=0.02))
+    assert ratio(high) == (True, pytest.approx(1.0, abs=0.02))
+
+
 def test_a_late_state_is_no_contact() -> None:
     """With the noise alone it would be one: the trapezoidal rule has an error of dt^2 / 12 f''."""
     noise, t = 1e-4, np.append(T, T[-1] + 0.08)

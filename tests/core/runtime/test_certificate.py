@@ -90,5 +90,7 @@ def test_messages_for_observers_are_due_on_a_grid_that_a_jump_restarts() -> None
     assert due([500, 505, 510]) == [500, 510]
     assert due([3, 12, 13]) == [3, 13]
     assert due([33, 34, 43]) == [33, 43]  # one period late
+    rate.period = 1
+    assert due([50, 50, 51]) == [50, 51]
     rate.period = 0
     assert due([14, 15]) == [14, 15]
