@@ -41,8 +41,8 @@ SOURCES, BUILD = ROOT / "ros2_ws" / "src", ROOT / "build"
 CORE, LOG, COMPILER = SOURCES / "fjr_core" / "fjr_core", BUILD / "mutants.tsv", BUILD / "mutants" / "cc"
 LONGEST, SIZE, SEED = 300, 300, 25  # s of the processor for a mutant; all take an hour or more
 ENDED = (-signal.SIGXCPU, -signal.SIGTERM, -signal.SIGKILL)  # exit codes of tests that something else ended
-STEP = " ".join(f"tracking/test_{name}.py" for name in ("transitions", "limits", "stamps", "stop_damping", "observer"))
-STEP += " core/monitoring core/runtime tracking core/extensions"
+STEP = " ".join(f"tracking/test_{name}.py" for name in ("limits", "observer", "transitions", "stamps", "stop_damping"))
+STEP += " core/monitoring/test_contact.py tracking core/monitoring core/runtime core/extensions"
 TESTS = {
     "model/*.py": "core/model core/law core/urdf core/simulation core/config nodes/test_simulated_robot.py core/robust "
     "design/tuning/test_equal_bandwidth.py engines/test_engines.py design/batch",

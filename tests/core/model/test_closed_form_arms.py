@@ -17,8 +17,14 @@ from scipy.stats import qmc
 import fjr_core as fjr
 from core.oracles.cases import ARMS, HARD, Arm, PlanarTwoLink, SingleLink, random_state
 from core.oracles.chains import arm7
-from fjr_core.model.configuration_sampling import bounds_of, loop_configurations, sample_configurations
+from fjr_core.model.configuration_sampling import (
+    bounds_of,
+    checked_configurations,
+    loop_configurations,
+    sample_configurations,
+)
 from fjr_core.model.planar_arms import urdf_of_links
+from fuzzing import refused
 
 arms = pytest.mark.parametrize("arm", ARMS, ids=lambda arm: arm.name)
 seeds = pytest.mark.parametrize("seed", range(2))
@@ -117,6 +123,12 @@ def test_the_urdf_that_shows_an_arm_has_its_dynamics_and_thin_links(robot: fjr.R
     assert turned == [repr(np.pi / 2), *["0.0", repr(np.pi / 2)] * robot.n]
 
 
+def test_a_chain_of_bodies_is_in_standard_gravity_along_minus_z_unless_told_otherwise() -> None:
+    arm, q_l = fjr.planar_two_link(gravity=9.81), np.array([0.7, -0.4])
+    weight = fjr.serial_chain(arm.links.bodies).grad_P_l(q_l).full().ravel()
+    np.testing.assert_allclose(weight, arm.grad_P_l(q_l), rtol=1e-12)
+
+
 def test_robot_is_immutable() -> None:
     robot = fjr.single_link()
     with pytest.raises(AttributeError):
@@ -147,6 +159,12 @@ def test_half_of_the_configurations_of_a_loop_align_axes() -> None:
     aligned = found[512:] == 0
     np.testing.assert_array_equal(found[512:][~aligned], sampled[512:][~aligned])
     assert 0.4 < aligned.mean() < 0.6
+
+
+@pytest.mark.parametrize("shape", [(2,), (3, 3), (0, 2), (1, 2, 2)])
+def test_configurations_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    robot, sentence = fjr.planar_two_link(), f"configurations has shape {shape}; expected (k, 2) with k at least 1"
+    refused(fjr.StateError, lambda: checked_configurations(robot, np.zeros(shape)), sentence)
 
 
 def test_a_side_without_a_limit_is_pi_or_pi_beyond_the_other() -> None:

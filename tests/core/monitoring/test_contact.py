@@ -291,6 +291,19 @@ def test_contact_ends_once_it_has_been_away_for_a_while() -> None:
     assert not watch.contact.acting
 
 
+def test_contact_lasts_while_its_distance_exceeds_a_quarter_of_the_limit() -> None:
+    ratios, rng = list[float](), np.random.default_rng(0)
+    position, velocity = motion(np.zeros(10), np.where(T[:, None] < 0.02, [3.0, 0.0], 0.0))
+    for push in (0.0, 0.2, 0.4, 0.8):
+        watch = Watch()
+        watch.see(position, velocity)
+        rest = np.tile(position[-1] - np.array([0.0, 0.0, push, 0.0]) / K[0], (80, 1))
+        watch.see(rest, 1e-9 * rng.normal(size=rest.shape), 0, T[-1] + 5e-3 * np.arange(1, 81))  # no state repeats
+        ratios.append(float(watch.e @ np.linalg.solve(watch.S, watch.e) / watch.o.limit))
+        assert watch.contact.acting == (ratios[-1] > 0.25), ratios
+    assert min(ratios) < 0.25 < sorted(ratios)[-2] < 1.0
+
+
 def test_learning_is_the_rule_of_bayes() -> None:
     """Every 25 samples; the oracle inverts the sum of all information. Contact is not learnt."""
     watch = Watch(25_000_000, stay=1.0, learned=0)
