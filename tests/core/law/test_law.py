@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 import fjr_core as fjr
 from core.oracles.cases import LOOP_NAMES, LOOPS, POINTS, Arm, GainSet, Point, planar, random_point
 from core.oracles.chains import arm7, scaled_gains, two_joints
-from core.oracles.oracle import LiteralLaw
+from core.oracles.oracle import LiteralLaw, jacobian
 from core.oracles.properties import (
     TOLERANCE,
     Loop,
@@ -26,6 +27,7 @@ from core.oracles.properties import (
     storage_rate,
     storage_terms,
 )
+from fjr_core.law.linearized import equilibria_at, feedback, plant_matrices
 from fjr_core.law.rate import rate, rate_from_inertia_bounds
 
 EXACT = 1e-11
@@ -177,3 +179,31 @@ def test_rates_from_bounds_of_a_constant_inertia_are_those_at_its_vertex(others:
     assert found.beta <= found.attained == pytest.approx(exact.beta, rel=1e-8)
     assert found.beta_paper == pytest.approx(exact.beta_paper, rel=1e-8)
     assert found.proven
+
+
+def test_rates_of_the_position_errors_are_those_of_conditions_32_and_41() -> None:
+    """The least eigenvalue of sym(Pi Lambda) relative to Pi, for matrices that do not commute."""
+    rng, given = np.random.default_rng(4), {"K_ld": 1.0, "K_md": 1.0}
+    for side in "lm":
+        root = rng.normal(size=(3, 3))
+        given |= {f"Pi_{side}": root @ root.T + np.eye(3), f"Lambda_{side}": 9 * np.eye(3) + rng.normal(size=(3, 3))}
+    gains = fjr.Gains(**given).checked(3)
+    for beta, Pi, Lambda in ((gains.beta_l, gains.Pi_l, gains.Lambda_l), (gains.beta_m, gains.Pi_m, gains.Lambda_m)):
+        assert beta == pytest.approx(eigh((Pi @ Lambda + Lambda.T @ Pi) / 2, Pi, eigvals_only=True)[0], rel=1e-12)
+
+
+def test_linearised_plant_and_law_of_an_arm_with_full_matrices_are_derivatives_at_rest() -> None:
+    """Central differences about an equilibrium, in units of each coordinate."""
+    arm, gains = next((arm, gains) for arm, gains in LOOPS if arm.name == "planar-full")
+    law, plant, q_l = loop_of(arm, gains).law, fjr.Plant(arm.robot), np.array([0.9, -0.4])
+    points = equilibria_at(arm.robot, q_l[None])
+    x, u, jets = points.x[0], points.u[0], np.vstack([q_l, np.zeros((4, 2))])
+    steps = np.concatenate([np.full(4, 2e-4), np.diag(points.M_l[0]) * 2e-3, np.diag(arm.M_m) * 2e-3])
+    A, B = (each[0] for each in plant_matrices(points))
+    scale = np.outer(1 / steps, steps)
+    seen = jacobian(lambda y: plant.derivative(y, u), x, steps)
+    assert A * scale == pytest.approx(seen * scale, abs=1e-6 * np.max(np.abs(seen * scale)))
+    assert plant.derivative(x, u + [1.0, 0.5]) == pytest.approx(B @ [1.0, 0.5], abs=1e-11)
+    seen = jacobian(lambda y: law.command(y, jets), x, steps)
+    closed = feedback(points, law.gains)[0]
+    assert closed * steps == pytest.approx(seen * steps, abs=1e-6 * np.max(np.abs(seen * steps)))
