@@ -294,6 +294,13 @@ def test_jets_match_up_to_a_share_of_one_and_their_size(q: float, share: float, 
     assert tracker.command(sample(MS, q, q), MS).state is state
 
 
+def test_a_start_from_where_no_transition_is_finite_sends_the_stop_effort() -> None:
+    tracker = ControlStep(LAW, Hold([0.0]), settings(start_join_time=1.0, link_velocity=1e-9))
+    command = tracker.command(sample(0, 1e302, 1e302), 0)
+    np.testing.assert_array_equal(command.u, tracker.stop_effort())
+    assert tracker.counters == {"efforts not finite": 1}
+
+
 def test_hold_while_stopped_holds_the_position_at_resume() -> None:
     tracker = tracker_at(0, link_velocity=1.0)
     tracker.command(sample(MS, 0.5, 0.5, 2.0), MS)

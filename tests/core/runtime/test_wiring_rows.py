@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import fjr_core as fjr
+from core.oracles import wiring
 from core.oracles.wiring import Rows, Window, torque_tolerance
 from fjr_core.numerics.checks import Array
 from fjr_core.numerics.jit import c_library
-from fjr_core.runtime.library import HEADER, c_code, sizes, text
+from fjr_core.runtime.library import HEADER, c_code, constant, sizes, text
 from fjr_monitor.diagnosis.fault_isolation import WiringCheck
 
 ROW = """
@@ -120,3 +121,15 @@ def test_a_comparison_that_suspects_no_joint_takes_one_operation_for_each_row() 
         operations.append(check._lib.fjr_wiring_compare(check._model, check.state))
         check._lib.fjr_wiring_sent(check.state, u)
     assert set(operations) == {0, 4 * 2}
+
+
+NUMBERS = (
+    *("TOLERANCE", "SCALE", "LAGS", "LAG", "LATE", "WEIGHT", "OFFSET", "SHIFT", "ROUNDING", "DOUBT", "FREEDOM", "REST"),
+    *("FEWEST", "EARLY", "RARER", "CONFIRMED", "LOADED", "EVIDENCE", "CLEARER", "FILTERED", "FAILS", "FITS", "FOLLOWS"),
+    *("CLOSER", "COARSE"),
+)
+
+
+def test_the_numbers_of_the_check_are_those_of_its_equations() -> None:
+    for name in NUMBERS:
+        assert constant(name) == pytest.approx(getattr(wiring, name), rel=1e-15), name
