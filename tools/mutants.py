@@ -143,7 +143,7 @@ def place(mutant: Mutant, folder: Path) -> None:
 
 def nearest(mutant: Mutant, tests: Sequence[pytest.Item]) -> list[pytest.Item]:
     """Begin with tests that killed mutants near by, then those that killed most, then as TESTS lists them."""
-    row, listed = (int(mutant.name[1].partition(":")[0]), mutant.tests.split())
+    row, listed = int(mutant.name[1].partition(":")[0]), mutant.tests.split()
     kills, distance = Counter[str](), defaultdict[str, float](lambda: float("inf"))
     for (file, place, _), (end, test) in logged().items():
         if end == "killed" and file == mutant.name[0]:
@@ -204,10 +204,10 @@ def main() -> None:
                 place(left[0], folder)  # Python is read when the tests are collected
                 tests = [f"tests/{each}" for each in left[0].tests.split()]
                 code = tested(folder, tests, longest, Trial(folder, left))
-                if code and len(left) > 1:
+                if code and (left[0].file.suffix == ".c" or code in (pytest.ExitCode.USAGE_ERROR, *ENDED)):
                     sys.exit((folder / "output.txt").read_text(encoding="utf-8"))
                 if code:
-                    log(left[0], "killed", "")
+                    log(left[0], "killed", "")  # no test can be collected
         results = [logged()[mutant.name] for mutant in sample]
         killers = {test for end, test in results if end == "killed"} - {""}
         shutil.copytree(CORE, folder / CORE.name, dirs_exist_ok=True)

@@ -133,3 +133,28 @@ NUMBERS = (
 def test_the_numbers_of_the_check_are_those_of_its_equations() -> None:
     for name in NUMBERS:
         assert constant(name) == pytest.approx(getattr(wiring, name), rel=1e-15), name
+
+
+@pytest.mark.parametrize("function", ["dynamics", "gravity"])
+def test_a_window_in_which_a_function_of_the_arm_fails_is_not_compared(function: str) -> None:
+    check, seen = WiringCheck(COUPLED, ("a", "b")), motion(40)
+    fails = check._ffi.callback("fjr_function", lambda *_: 1)
+    setattr(check._model, function, fails)
+    for t, q, dq in zip(seen.t, seen.q, seen.dq, strict=True):
+        assert check.see(t, q, dq) is None
+    assert not any(check.state.comparison.misfit)
+    assert not any(check.state.right)
+
+
+@pytest.mark.parametrize("function", ["dynamics", "gravity"])
+def test_a_comparison_that_goes_on_ends_without_a_fault_if_a_function_of_the_arm_fails(function: str) -> None:
+    """All hypotheses have been tried, and one explains the window."""
+    check = WiringCheck(COUPLED, ("a", "b"))
+    fails = check._ffi.callback("fjr_function", lambda *_: 1)
+    setattr(check._model, function, fails)
+    state, comparison = check.state, check.state.comparison
+    state.comparing, state.waiting, comparison.full, comparison.best.count = 1, 1, 1, 1
+    comparison.next = 3 * 2 * 2 + 1  # sides times pairs, and all efforts
+    check._lib.fjr_wiring_compare(check._model, state)
+    assert not state.comparing
+    assert not state.fault.count
