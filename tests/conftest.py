@@ -36,10 +36,21 @@ _turn: list[TextIO] = []  # the lock of this process, kept from one real_time te
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Sort the files that take long as listed; within a file the order stays."""
+    """Sort the files that take long as listed, then the others; within a file the order stays.
+
+    Of the others, those whose nodes wait for each other are spread evenly among those that only compute.
+    """
     tests = Path(__file__).parent
-    place = {tests / name: number for number, name in enumerate(LONGEST_FIRST)}
-    items.sort(key=lambda item: place.get(item.path, len(place)))
+    place: dict[Path, float] = {tests / name: number for number, name in enumerate(LONGEST_FIRST)}
+    others = [path for path in dict.fromkeys(item.path for item in items) if path not in place]
+    for with_nodes in (True, False):
+        files = [path for path in others if _starts_nodes(path) == with_nodes]
+        place |= {path: len(LONGEST_FIRST) + number / len(files) for number, path in enumerate(files)}
+    items.sort(key=lambda item: place[item.path])
+
+
+def _starts_nodes(path: Path) -> bool:
+    return not any(map(path.is_relative_to, WITHOUT_NODES))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -72,7 +83,7 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     Waiting for the lock does not count for the timeout of a test. A process keeps its turn while its next test has the
     marker too, so that the other processes wait only once.
     """
-    if any(map(item.path.is_relative_to, WITHOUT_NODES)) and _nodes_take_precedence():
+    if not _starts_nodes(item.path) and _nodes_take_precedence():
         return (yield)
     alone = _needs_the_clock(item)
     turn = _turn.pop() if _turn else _next_turn(alone)
