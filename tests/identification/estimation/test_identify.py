@@ -89,7 +89,7 @@ def test_all_parameters_of_a_joint_are_found_within_their_intervals() -> None:
 def test_a_log_slower_than_the_controller_gives_stiffness_inertia_and_delay(every: int) -> None:
     """The effort changes each millisecond and is logged each second or fifth time; without `held` it acts too early."""
     dt, robot = 1e-3, robot_like(ElasticJoint())
-    u = multi_sine(np.arange(6000) * dt, np.array([0.3, 0.8, 2.1, 5.3, 9.7, 17.0]), 0.35, 1)
+    u = multi_sine(np.arange(3000) * dt, np.array([0.3, 0.8, 2.1, 5.3, 9.7, 17.0, 29.0]), 0.35, 1)
     sides = [side[::every, None] for side in integrated(ElasticJoint(), u, dt)]
     q_l, q_m = sides + NOISE * np.random.default_rng(11).standard_normal((2, len(sides[0]), 1))
     t, nothing = every * dt * np.arange(len(q_l)), np.full_like(q_l, np.nan)
