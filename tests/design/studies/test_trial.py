@@ -182,7 +182,7 @@ def test_the_error_of_a_slide_counts_by_its_own_motion() -> None:
     )
     assert not found["tracks"]
     with pytest.raises(
-        ParameterError, match=r"the reference of the joints in m is at rest for 60 s; expected a motion"
+        ParameterError, match=r"the reference is at rest for 60 s at all joints in m; expected a motion"
     ):
         motion_demand(robot, fjr.Sine(amplitude=[0.0, 1.0], frequency=0.5))
 

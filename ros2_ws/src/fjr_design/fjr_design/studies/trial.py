@@ -67,7 +67,7 @@ def motion_demand(robot: Robot, reference: Reference) -> MotionDemand:
     square, units = np.var(position, axis=0), np.array([unit.position for unit in robot.units])
     motion = np.sqrt([np.mean(square[units == unit]) for unit in units])
     if len(still := units[motion <= STANDING]):
-        raise ParameterError(f"the reference of the joints in {still[0]} is at rest for {end:g} s; expected a motion")
+        raise ParameterError(f"the reference is at rest for {end:g} s at all joints in {still[0]}; expected a motion")
     tau, *_ = inverse_dynamics(robot)(*jets.transpose(1, 2, 0))
     torque = np.sqrt(np.mean(tau.full() ** 2, axis=1))
     friction = Imperfections(robot.n, coulomb_l=torque, coulomb_m=torque, smoothing=1.0)
