@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import time
 from collections.abc import Iterator
 from functools import cache
@@ -113,6 +114,16 @@ def test_records_come_in_order_and_those_without_a_place_are_counted(echo) -> No
     assert [stamp // 10**9 for stamp in echo.ring.take(1)] == [1]
     assert [stamp // 10**9 for stamp in echo.ring.take()] == list(range(2, CAPACITY + 1))
     assert (len(echo.ring.take()), echo.ring.lost) == (0, 2)
+
+
+def test_the_first_round_of_a_queue_meets_no_page_fault() -> None:
+    def faults() -> int:
+        return resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
+
+    ring = Ring(program(), "int64_t", 1 << 20)
+    before = faults()
+    ring._slots.fill(1)
+    assert faults() - before < ring._slots.nbytes // resource.getpagesize() // 10
 
 
 def test_messages_from_before_the_start_and_after_the_end_are_ignored(echo) -> None:

@@ -122,10 +122,10 @@ class Ring:
     """A queue of records from a native loop to Python; `pointer` is a struct fjr_ring*."""
 
     def __init__(self, program: Program, kind: str, capacity: int) -> None:
-        """kind: type of a record in C; capacity: number of records, a power of 2."""
+        """kind: type of a record in C; capacity: a power of 2. All slots are in RAM: the loop meets no page fault."""
         ffi = program.ffi
         self._program, self._type = program, record_type(ffi, ffi.typeof(kind))
-        self._slots, self._taken = (np.zeros(capacity, self._type) for _ in range(2))
+        self._slots, self._taken = np.full(capacity, 0, self._type), np.zeros(capacity, self._type)  # full: in RAM
         self._views = [ffi.from_buffer("uint8_t[]", each.view(np.uint8)) for each in (self._slots, self._taken)]
         given = {"slots": self._views[0], "capacity": capacity, "record": self._type.itemsize}
         self.pointer = ffi.new("struct fjr_ring*", given)
