@@ -22,6 +22,8 @@ from time_limits import HANG
 SHIM = Path(__file__).with_name("for_sanitizer.c")
 ACCESS = re.compile(r" of size \d+ at .*\n((?: +#\d.*\n)+)")
 """Stack of an access in a report, the innermost function first."""
+OURS = re.compile(r"code\.c:|(fjr_\w+|control_step)-\w+\.so")
+"""C that is compiled on demand, with or without its lines."""
 
 
 def sanitizer() -> str:
@@ -36,7 +38,8 @@ TSAN = sanitizer()
 
 def is_ours(stack: str) -> bool:
     """Return whether our C made an access, itself or by a function that the sanitizer replaces, such as memcpy."""
-    return "code.c:" in next((line for line in stack.splitlines() if "libtsan" not in line), "")
+    innermost = next((line for line in stack.splitlines() if "libtsan" not in line), "")
+    return bool(OURS.search(innermost))
 
 
 @pytest.mark.full

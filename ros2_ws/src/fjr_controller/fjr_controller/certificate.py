@@ -67,7 +67,7 @@ class LiveCertificate:
         self.pointer, self.message = self._struct.pointer, self._message.pointer
         self.pointer.bounded, self.pointer.beta = not self._why_not, self._rate()
         self.recertify: Callable[[Any, Any], None] = lambda gains, beta: None
-        """Let the command loop use other gains and another beta; set by it."""
+        """Let the command loop use another beta, and other gains unless NULL; set by it."""
         self.touched: Callable[[], list[str]] = list
         """Return the joints of a contact in the last second; set by the command loop."""
 
@@ -90,7 +90,7 @@ class LiveCertificate:
             found = external(found)
             found = replace(found, sentence=f"{found.sentence}; {EXTERNAL} on {', '.join(joints)}")
         if self._law.robot.links.M_l_vertices is None:
-            self.pointer.beta = self._rate()
+            self.recertify(self._ffi.NULL, self._ffi.new("double*", self._rate()))
         return diagnosis_status(self._name, found.kind, found.causes, found.sentence, found.figures)
 
     def on_records(self, records: NDArray[Any]) -> None:

@@ -268,8 +268,8 @@ class CommandLoop:
             self._host.hold(False)
 
     def _recertify(self, gains: Any, beta: Any) -> None:
-        """Let the loop use other gains for the certificate; records with those before are read first."""
-        if self.active:
+        """Let the loop use another beta, and other gains unless NULL; records with those before are read first."""
+        if self.active and gains:
             self.read()
         self.change("recertify", gains, beta)
 

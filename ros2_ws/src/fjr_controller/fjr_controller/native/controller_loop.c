@@ -229,9 +229,8 @@ int fjr_controller_request(void* self, int32_t kind, void* argument) {
     case FJR_DO_CHECK_SILENCE: outcome = check_silence(l, a->time); break;
     case FJR_DO_RECERTIFY:
       outcome = hand_over(l, 0);
-      l->certificate->gains = a->first;
       l->certificate->beta = *(const double*)a->second;
-      l->step.certificate_restart(l->certificate);
+      if (a->first) l->certificate->gains = a->first, l->step.certificate_restart(l->certificate);
       return outcome; /* the controller is as before; without a thread it is Python's */
     default: break;
   }

@@ -37,7 +37,7 @@ enum fjr_controller_output {
 
 /* Requests, with an argument of type struct fjr_arguments; after each the copy of the controller is up to date.
  * FJR_DO_CHECK_SILENCE: `time` is of the clock of the stamps. FJR_DO_SEND_STOP: the stop effort, if a command was sent.
- * FJR_DO_RECERTIFY: `first` are the gains of the certificate, `second` is beta. */
+ * FJR_DO_RECERTIFY: `second` is beta; `first` are gains with which the certificate starts again, 0: it goes on. */
 enum fjr_controller_request {
   FJR_DO_COPY, FJR_DO_START, FJR_DO_APPLY, FJR_DO_USE_GAINS, FJR_DO_FOLLOW, FJR_DO_HOLD, FJR_DO_RESUME,
   FJR_DO_CHECK_SILENCE, FJR_DO_SEND_STOP, FJR_DO_RECERTIFY

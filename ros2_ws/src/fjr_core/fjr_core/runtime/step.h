@@ -332,7 +332,7 @@ struct fjr_certificate {
   const double* gains;
   double B_m[FJR_N * FJR_N]; /* by rows */
   double longest;            /* s; two samples further apart are not compared */
-  double beta;               /* [1/s] of the bound; Python may change it at any time */
+  double beta;               /* [1/s] of the bound */
   int32_t bounded;           /* 0: V has no bound */
   const double** arg;        /* work space of the functions */
   double** res;
