@@ -89,7 +89,7 @@ class PlantNode(ParameterNode):
         self._health.publish()
 
     def end(self, error: FjrError) -> None:
-        """Stop the robot time, reply to waiting clients, and end the node."""
+        """Reply to waiting clients, and end the node."""
         self._time_base.end_advance(False, "ended")
         super().end(error)
 

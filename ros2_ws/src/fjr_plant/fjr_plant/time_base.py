@@ -193,7 +193,7 @@ class TimeBase(ABC):
     def _reset(self) -> None:
         self.end_advance(False, "reset")
         self._robot.reset()
-        self.plant.last_command, self.plant.acts_at = 0, NO_TIME
+        self.plant.left, self.plant.last_command, self.plant.acts_at = 0, 0, NO_TIME
         self._transport.reset()
         self._call("restart")
 
@@ -203,6 +203,7 @@ class TimeBase(ABC):
 
     def _pause(self, wanted: bool) -> None:
         self.end_advance(False, "paused" if wanted else "resumed")
+        self.plant.left = 0
         if wanted and not self.paused:
             self._call("catch_up")
         if wanted != self.paused:
@@ -243,11 +244,11 @@ class TimeBase(ABC):
         return f"already advancing: {left} of {self._samples} samples are left" if left else ""
 
     def end_advance(self, success: bool, why: str) -> None:
-        """Reply to the client that waits for the end of an advance."""
+        """Reply to the client that waits for the end of an advance; on any thread."""
         reply, self._reply = self._reply, None
         if reply is None:
             return
-        done, self.plant.left = self._samples - self.plant.left, 0
+        done = self._samples - self.plant.left
         how = f"advanced by {done} samples" if success else f"{why} after {done} of {self._samples} samples"
         reply(success, f"{how}: the time is {seconds(self.stamp)} s")
 
