@@ -187,16 +187,12 @@ class ActingSums:
             commands, missing = map(np.concatenate, zip(*map(self._missed, parts), strict=True))
             self._noise = lost_commands.noise_of(commands, missing)
             return
-        ages: list[NDArray[np.intp]] = []
-        off = changed = 0.0
-        for found in parts:
-            newer, older = _by_torque(found, age)
-            samples = _samples(found.sent, newer)
-            ages.append(samples)
-            off += float(((newer - _delayed(found.sent, samples)) ** 2).sum())
-            changed += float(((newer - older) ** 2).sum())
-            self._largest = np.maximum(self._largest, np.abs(found.after).max(axis=0, initial=0.0))
-        self._usual, self._sent = float(np.median(np.concatenate(ages))), off <= thresholds.MIXED * changed
+        efforts = [(found.sent, _by_torque(found, age)[0]) for found in parts]
+        self._usual = float(np.median(np.concatenate([_samples(*each) for each in efforts])))
+        other = np.concatenate([~np.isclose(*each, rtol=1e-4).all(axis=1) for each in efforts])
+        exact = np.concatenate([_samples(*each, thresholds.EXACT) > 0 for each in efforts])
+        self._sent = bool(2 * np.count_nonzero(exact) > np.count_nonzero(other))
+        self._largest = np.max([np.abs(found.after).max(axis=0, initial=0.0) for found in parts], axis=0)
 
     def acting(self, found: Innovations, begin: int = 0) -> Acting:
         """Classify the deviations of the acting effort: saturated by the motor, delayed, or held as one was lost.
@@ -266,11 +262,14 @@ def _delayed(u: Array, samples: int | NDArray[np.intp]) -> Array:
     return u[np.maximum(np.arange(len(u)) - samples, 0)]
 
 
-def _samples(sent: Array, acting: Array) -> NDArray[np.intp]:
-    """Return the delay (k,) in samples of the sent effort that equals the acting one; 0: none does."""
+def _samples(sent: Array, acting: Array, same: float = thresholds.SAME_OLDER) -> NDArray[np.intp]:
+    """Return the delay (k,) in samples of the sent effort that equals the acting one; 0: none does.
+
+    same: largest distance of equal efforts, relative to the distance from the newest.
+    """
     distances = np.array([np.abs(acting - _delayed(sent, j)).max(axis=1) for j in range(thresholds.OLDEST + 1)])
     nearest = np.argmin(distances, axis=0)
-    return np.where(distances.min(axis=0) <= thresholds.SAME_OLDER * distances[0], nearest, 0)
+    return np.where(distances.min(axis=0) <= same * distances[0], nearest, 0)
 
 
 def _clipped(sent: Array, acting: Array, largest: Array) -> NDArray[np.bool_]:

@@ -72,8 +72,6 @@ OLDEST = 24
 """Largest delay searched, in samples."""
 SAME_OLDER = 0.1
 """The acting torque is an older effort if its distance is at most this fraction of that from the newest."""
-MIXED = 0.02
-"""The measured torque is that of efforts sent if these leave at most this share of its changes."""
 NEGLIGIBLE = 1e-8
 """Residual changes relative to those of the efforts that are due to rounding."""
 LATE = 0.5

@@ -68,9 +68,9 @@ def unknown(reason: str, figures: dict[str, float] | None = None) -> Diagnosis:
     return Diagnosis("unknown", (), f"no diagnosis: {reason}", figures or {})
 
 
-def violated(what: str, causes: tuple[str, ...], figures: dict[str, float]) -> Diagnosis:
-    """Return "violated" with what was seen and the causes, the strongest first."""
-    return Diagnosis("violated", causes, f"{what}: {explained(causes)}", figures, {}, ", ".join(causes))
+def violated(what: str, causes: tuple[str, ...], figures: dict[str, float], why: str = "") -> Diagnosis:
+    """Return "violated" with what was seen, the causes, the strongest first, and why; "": a sentence for each cause."""
+    return Diagnosis("violated", causes, f"{what}: {why or explained(causes)}", figures, {}, ", ".join(causes))
 
 
 def external(diagnosis: Diagnosis) -> Diagnosis:
@@ -185,7 +185,7 @@ class BlockStatistics:
         causes = tuple(CAUSES[i] for i in order if strongest[i] >= thresholds.CAUSE_SHARE)
         if grown > thresholds.DIVERGED:  # the hold is the cause if it added more to V than the decay removed
             causes = causes or ((SAMPLING,) if self._hold > self._slack else ())
-            return violated(f"V grew to {grown:.2g} times its floor", causes, figures)
+            return violated(f"V grew to {grown:.2g} times its floor", causes, figures, self._explained(causes))
         if self._blocks < thresholds.FEWEST:
             seen = plural(int(figures.get("intervals", self._blocks * BLOCK)), "interval")
             fewest = thresholds.FEWEST * BLOCK
