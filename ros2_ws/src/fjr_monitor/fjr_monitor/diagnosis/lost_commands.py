@@ -57,18 +57,19 @@ def lost_commands(
     older = np.vstack([u[:1], u[:-1]])
     variance = sigma[0] ** 2 + (sigma[1][:, None] * (older - u)) ** 2 + TINY
     rest, size = e - late[:, None] * (older - u), BEFORE + BLOCK + AFTER
-    rows = np.arange(begin % BLOCK - BLOCK, len(u), BLOCK)[:, None] + np.arange(size) - BEFORE
+    rows = np.arange(max(begin - BLOCK, begin % BLOCK), len(u), BLOCK)[:, None] + np.arange(size) - BEFORE
     there = (rows >= 0) & (rows < len(u))
     rows = np.clip(rows, 0, len(u) - 1)
     stepped = np.append(np.zeros(1, dtype=np.intp), np.cumsum(_steps(rest, variance)))
     some = stepped[rows[:, -1] + 1] > stepped[rows[:, 0]]
     held, before = np.zeros(len(u), dtype=bool), older
     if some.any():
-        given = u, e, late, variance, rows[some], there[some]
         slow = np.nanmedian(np.where(there[some][:, :, None], rest[rows[some]], np.nan), axis=1)
-        (ages, left, cost), (other, other_left, other_cost) = _most_likely(*given), _most_likely(*given, slow)
-        ages = np.where((cost <= other_cost)[:, None], ages, other)  # a segment may begin among lost commands
-        left = np.where(cost <= other_cost, left, other_left)
+        rates = np.concatenate([np.full_like(slow, np.nan), slow])  # a segment may begin among lost commands
+        twice = np.tile(rows[some], (2, 1)), np.tile(there[some], (2, 1))
+        decoded = _most_likely(u, e, late, variance, twice, rates)
+        ages, left, cost = (np.stack(np.split(each, 2)) for each in decoded)
+        ages, left = (each[np.argmin(cost, axis=0), np.arange(len(slow))] for each in (ages, left))
         good, kept = left < LEFT * u.shape[1] * there[some].sum(axis=1), slice(BEFORE, BEFORE + BLOCK)
         ages, some[some] = ages[good], good
         here = there[some, kept]
@@ -95,46 +96,46 @@ def _most_likely(
     e: Array,
     late: Array,
     variance: Array,
-    rows: NDArray[np.intp],
-    there: NDArray[np.bool_],
-    usual: Array | None = None,
+    segments: tuple[NDArray[np.intp], NDArray[np.bool_]],
+    rates: Array,
 ) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return how many commands in a row were lost before the first row and at each of rows (s, m), as (s, m + 1).
+    """Return how many commands in a row were lost before the first and at each interval of segments, as (s, m + 1).
 
-    Return, too, the sum of squared innovations (s,) relative to their variance, and the cost (s,). there (s, m): false
-    where a segment has no interval. usual (s, n) [N m]: rate at the start; None: estimated from the first intervals.
-    A path is lost for `ages` commands in a row.
+    Return, too, the sum of squared innovations (s,) relative to their variance, and the cost (s,). segments (s, m):
+    intervals, and whether they exist. rates (s, n) [N m]: at the start, NaN: of the first intervals.
     """
-    (segments, length), n, ages = rows.shape, u.shape[1], np.arange(LONGEST + 1)
-    cost, came = np.where(ages, FIRST, 0.0) + np.zeros((segments, 1)), np.zeros((segments, length, len(ages)), np.int8)
-    level, rate = np.zeros((2, segments, len(ages), n))
-    if usual is not None:
-        rate = rate + usual[:, None]
-    total, seen, all_of = np.zeros((segments, 1, n)), np.zeros((segments, 1, 1)), np.arange(segments)
-    left = np.zeros((segments, len(ages)))
+    rows, there = segments
+    (count, length), n, ages = rows.shape, u.shape[1], np.arange(LONGEST + 1)  # a path is lost `ages` times in a row
+    came, all_of = np.zeros((count, length, len(ages)), np.int8), np.arange(count)
+    left = np.zeros((count, len(ages)))
+    cost = left + np.where(ages, FIRST, 0.0)
+    unknown = np.isnan(rates[:, None])
+    level = np.zeros((count, len(ages), n))
+    rate = level + np.where(unknown, 0.0, rates[:, None])
+    total, seen = np.zeros((count, 1, n)), np.zeros((count, 1, 1))
     for i, (now, real) in enumerate(zip(rows.T, there.T[:, :, None, None], strict=True)):
         total, seen = total + real * e[now, None], seen + real
-        more = u[np.maximum(now[:, None] - 1 - ages, 0)] - u[now, None]
-        if usual is None:  # at first least squares
-            alpha = np.maximum(ALPHA, (4 * seen - 2) / (seen * seen + seen + (seen < 1)))
-            beta = np.maximum(BETA, 6 / (seen * seen + seen + 1))
-        else:
-            alpha, beta = np.maximum(ALPHA, 1 / np.maximum(seen, 1)), BETA * real
+        line = seen * seen + seen + (seen < 1)  # at first the least squares of a line, or a mean
+        alpha = np.maximum(ALPHA, np.where(unknown, (4 * seen - 2) / line, 1 / np.maximum(seen, 1)))
+        beta = np.maximum(BETA, np.where(unknown, 6 / line, 0.0)) * real
+        held = u[np.maximum(now[:, None] - 1 - ages, 0)] - u[now, None]
         paths = []
-        for share, change in ((late[now, None, None], (0.0, STAY)), (1.0, (BEGIN, STAY))):
-            deviation = share * more
+        for deviation, chance in (
+            (late[now, None, None] * held, np.where(ages, STAY, 0.0)),
+            (held, np.where(ages, STAY, BEGIN)),
+        ):
             ahead = level + real * (rate + deviation)
             off = total - ahead
             square = (real * (1 - alpha) * off**2 / (variance[now, None] + (INEXACT * deviation) ** 2)).sum(axis=2)
-            chance = np.minimum(square, OUTLIER) / 2 + np.where(ages, *change[::-1])
-            paths.append((cost + chance, left + square, ahead + alpha * off, rate + beta * off))
+            likely = cost + chance + np.minimum(square, OUTLIER) / 2
+            paths.append((likely, left + square, ahead + alpha * off, rate + beta * off))
         acts, lost = paths
         best = np.argmin(acts[0], axis=1)
         came[:, i, 0], came[:, i, 1:] = best, ages[:-1]
         cost, left, level, rate = (
             np.concatenate([a[all_of, best][:, None], b[:, :-1]], axis=1) for a, b in zip(acts, lost, strict=True)
         )
-    found = np.zeros((segments, length + 1), np.intp)
+    found = np.zeros((count, length + 1), np.intp)
     found[:, -1] = np.argmin(cost, axis=1)
     for i in reversed(range(length)):
         found[:, i] = came[all_of, i, found[:, i + 1]]
