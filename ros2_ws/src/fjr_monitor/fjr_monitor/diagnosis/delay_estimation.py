@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
@@ -187,12 +188,16 @@ class ActingSums:
             commands, missing = map(np.concatenate, zip(*map(self._missed, parts), strict=True))
             self._noise = lost_commands.noise_of(commands, missing)
             return
-        efforts = [(found.sent, _by_torque(found, age)[0]) for found in parts]
-        self._usual = float(np.median(np.concatenate([_samples(*each) for each in efforts])))
-        other = np.concatenate([~np.isclose(*each, rtol=1e-4).all(axis=1) for each in efforts])
-        exact = np.concatenate([_samples(*each, thresholds.EXACT) > 0 for each in efforts])
-        self._sent = bool(2 * np.count_nonzero(exact) > np.count_nonzero(other))
-        self._largest = np.max([np.abs(found.after).max(axis=0, initial=0.0) for found in parts], axis=0)
+        found = reduce(Innovations.followed_by, parts)
+        newer, older = _by_torque(found, age)
+        ages = np.concatenate([_samples(each.sent, _by_torque(each, age)[0]) for each in parts])
+        exact = np.concatenate([_samples(each.sent, _by_torque(each, age)[0], thresholds.EXACT) > 0 for each in parts])
+        other = ~np.isclose(newer, found.sent, rtol=1e-4).all(axis=1)
+        held = np.isclose(newer, older, rtol=1e-9).all(axis=1)  # all through the interval; jitter would end it
+        of_sent = 2 * np.count_nonzero(exact) > np.count_nonzero(other)
+        self._usual = float(np.median(ages))
+        self._sent = bool(of_sent and np.count_nonzero(held & exact) >= thresholds.HELD * np.count_nonzero(exact))
+        self._largest = np.abs(found.after).max(axis=0, initial=0.0)
 
     def acting(self, found: Innovations, begin: int = 0) -> Acting:
         """Classify the deviations of the acting effort: saturated by the motor, delayed, or held as one was lost.

@@ -72,6 +72,8 @@ OLDEST = 24
 """Largest delay searched, in samples."""
 SAME_OLDER = 0.1
 """The acting torque is an older effort if its distance is at most this fraction of that from the newest."""
+HELD = 0.75
+"""Commands were lost, not late, if an older effort acts from begin to end in this share of its intervals."""
 NEGLIGIBLE = 1e-8
 """Residual changes relative to those of the efforts that are due to rounding."""
 LATE = 0.5

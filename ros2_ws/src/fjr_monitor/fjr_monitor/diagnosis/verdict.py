@@ -210,7 +210,7 @@ class BlockStatistics:
     def _explained(self, causes: tuple[str, ...]) -> str:
         """Return a sentence for each cause, with the share of the commands that were lost."""
         share = self._missing / max(1, self._blocks * BLOCK) if LOSS in causes else 0.0
-        return explained(causes) + (f" (about {percent(share, 1)} of the commands never acted)" if share else "")
+        return explained(causes) + (f"; about {percent(share, 1)} of the commands never acted" if share else "")
 
     def _exceeding(self, figures: dict[str, float]) -> Diagnosis | None:
         """Return the diagnosis of a settled error beyond the tolerance or what is foreseen; None if it is not."""
