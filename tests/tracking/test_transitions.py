@@ -119,6 +119,25 @@ def test_a_brake_decelerates_no_more_than_the_way_to_a_position_limit_asks(room:
         np.testing.assert_allclose(slope, jets[1:-1, order + 1], atol=2e-3 * np.abs(jets[:, order + 1]).max())
 
 
+@pytest.mark.parametrize(("side", "end"), [(1.0, "upper"), (-1.0, "lower")])
+def test_a_position_limit_of_a_motor_bounds_a_transition_as_one_of_its_link(side: float, end: str) -> None:
+    """Also at the second joint; a mirrored start has the mirrored transition."""
+    q, dq, limit = side * np.array([0.0, 1.0]), side * np.array([0.0, 1.5]), side * np.array([5.0, 1.4])
+    given = {"acceleration": 10.0, "link_velocity": 2.0}
+    free, link, motor, mirrored = (
+        np.append(jets.ravel(), [duration, braking(tracker)])
+        for tracker, duration, jets in (
+            joined(Hold([0.0, -1.5 * side]), q, dq, TWO, **given),
+            joined(Hold([0.0, -1.5 * side]), q, dq, TWO, **given, **{f"link_position_{end}": limit}),
+            joined(Hold([0.0, -1.5 * side]), q, dq, TWO, **given, **{f"motor_position_{end}": limit}),
+            joined(Hold([0.0, -1.5]), side * q, side * dq, TWO, **given, link_position_upper=side * limit),
+        )
+    )
+    np.testing.assert_array_equal(link, motor)
+    np.testing.assert_allclose(np.abs(link), np.abs(mirrored), rtol=1e-9, atol=1e-9)
+    assert not np.allclose(free, link)
+
+
 def test_a_transition_that_respects_the_limits_begins_without_a_brake() -> None:
     """A position limit that the transition does not reach changes no bit of it."""
     given = {"acceleration": 10.0, "link_velocity": 2.0}
