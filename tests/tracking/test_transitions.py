@@ -98,10 +98,10 @@ def test_no_transition_leaves_the_position_limits_if_a_constant_deceleration_wou
     assert braked > 5
 
 
-@pytest.mark.parametrize("room", [1.1, 0.3, 0.16, 0.13, 0.1126])
-def test_a_brake_decelerates_no_more_than_the_way_to_a_position_limit_asks(room: float) -> None:
+@pytest.mark.parametrize(("speed", "room"), [*((1.5, room) for room in (1.1, 0.3, 0.16, 0.13, 0.1126)), (0.8, 0.15)])
+def test_a_brake_decelerates_no_more_than_the_way_to_a_position_limit_asks(speed: float, room: float) -> None:
     """At hold.deceleration, over ROOM_SHARE of the way, or over that of a constant deceleration at the limit."""
-    speed, most, usual = 1.5, 10.0, settings().hold_deceleration
+    most, usual = 10.0, settings().hold_deceleration
     limits = {"acceleration": most, "link_velocity": 2.0, "link_position_upper": 1.0 + room}
     tracker, _, _ = joined(Hold([-1.5]), 1.0, speed, **limits)
     before = braking(tracker)

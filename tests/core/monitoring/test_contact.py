@@ -182,6 +182,17 @@ def test_alarm_begins_at_the_push_whose_distance_is_its_limit() -> None:
     assert ratio(high) == (True, pytest.approx(1.0, abs=0.02))
 
 
+@pytest.mark.parametrize(("share", "joints"), [(0.1, 0b11), (0.02, 0b01)])
+def test_small_torques_name_their_joints_by_their_share_of_the_largest(share: float, joints: int) -> None:
+    noise, push = 1e-4, 0.3  # N m
+    watch = Watch(noise=[noise**2] * 2)
+    for k in range(100):
+        watch.o.P[k] = 0.0  # the model is known
+    watch.see(*motion(np.zeros(10), np.where(T[:, None] > 0.02, [push, share * push], 0.0)))
+    assert np.abs(watch.e) == pytest.approx([push, share * push], rel=0.05)
+    assert watch.contact.joints == joints
+
+
 def test_a_late_state_is_no_contact() -> None:
     """With the noise alone it would be one: the trapezoidal rule has an error of dt^2 / 12 f''."""
     noise, t = 1e-4, np.append(T, T[-1] + 0.08)
