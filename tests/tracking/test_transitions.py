@@ -98,7 +98,7 @@ def test_no_transition_leaves_the_position_limits_if_a_constant_deceleration_wou
     assert braked > 5
 
 
-@pytest.mark.parametrize(("speed", "room"), [*((1.5, room) for room in (1.1, 0.3, 0.16, 0.13, 0.1126)), (0.8, 0.15)])
+@pytest.mark.parametrize(("speed", "room"), [*((1.5, room) for room in (1.1, 0.3, 0.16, 0.13, 0.1126)), (0.5, 0.2)])
 def test_a_brake_decelerates_no_more_than_the_way_to_a_position_limit_asks(speed: float, room: float) -> None:
     """At hold.deceleration, over ROOM_SHARE of the way, or over that of a constant deceleration at the limit."""
     most, usual = 10.0, settings().hold_deceleration
