@@ -83,11 +83,11 @@ LAYERS = {
 BUDGETS = {
     "fjr_core": 13_160,
     "fjr_msgs_py": 3_650,
-    "fjr_monitor": 7_700,
+    "fjr_monitor": 7_910,
     "fjr_plant": 1_380,
     "fjr_controller": 1_775,
     "fjr_design": 9_040,
-    "fjr_identification": 5_990,
+    "fjr_identification": 6_000,
     "fjr_proofs": 4_020,
     "fjr_engines": 1_240,
     "fjr_bringup": 1_200,
