@@ -9,17 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_opening
 
 import fjr_core as fjr
 from fjr_core.numerics.checks import Array
 from fjr_core.runtime.events import Finding
 from fjr_core.stability.linearization import linearize
 from fjr_monitor.diagnosis.causes import closed_loop
-from fjr_monitor.diagnosis.delay_estimation import _clipped, needed
+from fjr_monitor.diagnosis.delay_estimation import needed
 from fjr_monitor.diagnosis.diagnosis import diagnose, innovations, with_findings
 from fjr_monitor.diagnosis.record import Record
-from fjr_monitor.diagnosis.thresholds import CLIPPED_FOR, JointTolerances
+from fjr_monitor.diagnosis.thresholds import JointTolerances
 from fjr_monitor.diagnosis.verdict import Diagnosis
 from fjr_msgs_py.scenarios import library
 from fuzzing import refused
@@ -347,12 +346,3 @@ def test_inconsistent_records_and_tolerances_are_refused(changed: dict[str, Any]
     fits: Any = record() if {*changed} & {"jets", "sample_period"} else JointTolerances.plain(1)
     with pytest.raises(fjr.StateError, match=sentence):
         replace(fits, **changed)
-
-
-@pytest.mark.parametrize("count", [0, CLIPPED_FOR - 1, 200])
-def test_a_motor_is_saturated_where_it_is_at_its_largest_torque_for_several_intervals(count: int) -> None:
-    at_most = np.random.default_rng(count).random((count, 2)) < 0.8
-    found = _clipped(np.where(at_most, 2.0, 0.5), np.where(at_most, 1.0, 0.1), np.ones(2))
-    expected = binary_opening(at_most, np.ones((CLIPPED_FOR, 1))) if count else at_most
-    np.testing.assert_array_equal(found, expected)
-    assert count < CLIPPED_FOR or 0 < found.sum() < at_most.sum()
